@@ -1,0 +1,67 @@
+"""One moment of a sequence: what was measured, and where the camera is thought to be."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+
+from xrdslam.core.camera import Camera
+from xrdslam.core.pose import OptimizablePose, RotationKind
+
+__all__ = ["Frame", "ImuSamples"]
+
+
+@dataclass(frozen=True)
+class ImuSamples:
+    """Inertial samples since the frame before: angular velocity [rad/s], specific force [m/s^2], body axes."""
+
+    timestamps_ns: Int64[Tensor, " n"]
+    angular_velocity: Float[Tensor, "n 3"]
+    acceleration: Float[Tensor, "n 3"]
+
+
+class Frame(nn.Module):
+    """A frame: images as buffers (`frame.to(device)` uploads them once), the pose as a module.
+
+    `pose` is a working copy for optimisers; the trajectory of the Algorithm owns what is believed (see Algorithm).
+    """
+
+    rgb: Float[Tensor, "h w 3"]
+    depth: Float[Tensor, "h w"] | None
+    T_world_camera_gt: Float[Tensor, "4 4"] | None
+
+    def __init__(
+        self,
+        index: int,
+        timestamp_ns: int,
+        camera: Camera,
+        rgb: Float[Tensor, "h w 3"],
+        depth: Float[Tensor, "h w"] | None = None,
+        T_world_camera_gt: Float[Tensor, "4 4"] | None = None,
+        imu: ImuSamples | None = None,
+        rotation: RotationKind = "axis_angle",
+    ) -> None:
+        """Hold rgb in [0, 1], depth [m] along z with 0 = no measurement, and start the pose at the identity."""
+        super().__init__()
+        if tuple(rgb.shape[:2]) != (camera.height, camera.width):
+            raise ValueError(f"image of {tuple(rgb.shape[:2])}, camera of {(camera.height, camera.width)} (rows, columns)")
+        self.index = index
+        self.timestamp_ns = timestamp_ns
+        self.camera = camera
+        self.imu = imu
+        self.register_buffer("rgb", rgb)
+        self.register_buffer("depth", depth)
+        self.register_buffer("T_world_camera_gt", T_world_camera_gt)
+        self.pose = OptimizablePose.from_matrix(torch.eye(4, dtype=rgb.dtype, device=rgb.device), rotation)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the images are."""
+        return self.rgb.device
+
+    def points_camera(self) -> Float[Tensor, "n 3"]:
+        """Return the camera-frame points [m] of every pixel that has a depth, in raster order."""
+        if self.depth is None:
+            raise ValueError(f"frame {self.index} has no depth")
+        return (self.camera.rays(device=self.device) * self.depth[..., None])[self.depth > 0]

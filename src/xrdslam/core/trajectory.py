@@ -1,0 +1,123 @@
+"""What is believed about where the camera was."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float64, Int64
+from torch import Tensor
+
+from xrdslam.core.geometry import se3
+
+__all__ = ["Trajectory"]
+
+
+@dataclass
+class _Entry:
+    timestamp_ns: int
+    online: Tensor
+    anchor: int
+    T_anchor_frame: Tensor
+    is_lost: bool
+
+
+class Trajectory:
+    """The one owner of poses: T_world_camera of every frame, float64.
+
+    `online` is what was reported when the frame was tracked, never touched again. `current` follows what mapping finds
+    later: a keyframe's pose is updated itself, every other frame hangs on its keyframe by the motion between them, so
+    that a bundle adjustment that moves a keyframe carries its neighbours along (Co-SLAM's relative trajectory).
+    """
+
+    def __init__(self) -> None:
+        self._entries: dict[int, _Entry] = {}
+        self._anchor: int | None = None
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __contains__(self, index: int) -> bool:
+        return index in self._entries
+
+    @property
+    def indices(self) -> list[int]:
+        """Frame indices in the order of tracking."""
+        return list(self._entries)
+
+    @property
+    def is_lost(self) -> Bool[Tensor, " n"]:
+        """Which frames kept a predicted pose because tracking failed."""
+        return torch.tensor([entry.is_lost for entry in self._entries.values()], dtype=torch.bool)
+
+    @property
+    def timestamps_ns(self) -> Int64[Tensor, " n"]:
+        """When the frames were taken."""
+        return torch.tensor([entry.timestamp_ns for entry in self._entries.values()], dtype=torch.int64)
+
+    def append(self, index: int, timestamp_ns: int, T_world_camera: Tensor, is_lost: bool = False) -> None:
+        """Add a tracked frame; it hangs on the latest keyframe."""
+        if index in self._entries:
+            raise ValueError(f"frame {index} is in the trajectory already")
+        pose = _exact(T_world_camera)
+        anchor = index if self._anchor is None else self._anchor
+        self._entries[index] = _Entry(timestamp_ns, pose, index, torch.eye(4, dtype=torch.float64), is_lost)
+        self._hang(index, anchor, pose)
+
+    def make_keyframe(self, index: int) -> None:
+        """Let a frame stand on its own, and later ones hang on it."""
+        self._hang(index, index, self.pose(index))
+        self._anchor = index
+
+    def update(self, index: int, T_world_camera: Tensor, anchor: int | None = None) -> None:
+        """Say that a frame is now believed elsewhere; `anchor` hangs it on another frame (one that left the graph)."""
+        entry = self._entries[index]
+        self._hang(index, entry.anchor if anchor is None else anchor, _exact(T_world_camera))
+
+    def pose(self, index: int) -> Float64[Tensor, "4 4"]:
+        """Return the current belief."""
+        entry = self._entries[index]
+        if entry.anchor == index:
+            return entry.T_anchor_frame
+        return self.pose(entry.anchor) @ entry.T_anchor_frame
+
+    def online(self) -> Float64[Tensor, "n 4 4"]:
+        """Return the poses as they were first reported."""
+        return _stack([entry.online for entry in self._entries.values()])
+
+    def current(self) -> Float64[Tensor, "n 4 4"]:
+        """Return the poses as they are believed now; after the last frame, the final trajectory."""
+        return _stack([self.pose(index) for index in self._entries])
+
+    def _hang(self, index: int, anchor: int, T_world_camera: Tensor) -> None:
+        entry = self._entries[index]
+        entry.anchor = anchor
+        entry.T_anchor_frame = T_world_camera if anchor == index else se3.inverse(self.pose(anchor)) @ T_world_camera
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return everything as tensors, for checkpoints."""
+        entries = self._entries.values()
+        return {
+            "indices": torch.tensor(self.indices, dtype=torch.int64),
+            "timestamps_ns": self.timestamps_ns,
+            "online": self.online(),
+            "anchors": torch.tensor([e.anchor for e in entries], dtype=torch.int64),
+            "T_anchor_frame": _stack([e.T_anchor_frame for e in entries]),
+            "is_lost": self.is_lost,
+            "anchor": torch.tensor(-1 if self._anchor is None else self._anchor),
+        }
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state_dict` returned."""
+        keys = ("indices", "timestamps_ns", "online", "anchors", "T_anchor_frame", "is_lost")
+        self._entries = {
+            int(index): _Entry(int(stamp), online, int(anchor), relative, bool(lost))
+            for index, stamp, online, anchor, relative, lost in zip(*(state[k] for k in keys), strict=True)
+        }
+        self._anchor = None if int(state["anchor"]) < 0 else int(state["anchor"])
+
+
+def _exact(T_world_camera: Tensor) -> Tensor:
+    return T_world_camera.detach().to("cpu", torch.float64).clone()
+
+
+def _stack(poses: list[Tensor]) -> Tensor:
+    return torch.stack(poses) if poses else torch.empty(0, 4, 4, dtype=torch.float64)
