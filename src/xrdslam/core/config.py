@@ -1,0 +1,132 @@
+"""Settings of a run as plain dataclasses: the one place of every default that all methods share. Imports no torch."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from xrdslam.core.errors import ConfigError
+
+__all__ = [
+    "AlgorithmConfig",
+    "IterativeMappingConfig",
+    "IterativeTrackingConfig",
+    "MappingConfig",
+    "TrackingConfig",
+    "require",
+    "require_choice",
+]
+
+
+def require(condition: bool, key: str, value: object, must: str) -> None:
+    """Refuse a setting: ConfigError `<dotted key>=<value>: must <must>`."""
+    if not condition:
+        raise ConfigError(f"{key}={value}: must {must}")
+
+
+def require_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
+    """Refuse a setting that is not one of `choices`."""
+    require(value in choices, key, value, f"be one of {', '.join(choices)}")
+
+
+@dataclass
+class TrackingConfig:
+    """What every tracking method has: the name it is registered under."""
+
+    name: str = "???"
+
+
+@dataclass
+class MappingConfig:
+    """What every mapping method has: the name it is registered under."""
+
+    name: str = "???"
+
+
+@dataclass
+class IterativeTrackingConfig(TrackingConfig):
+    """Pose optimisation against the map."""
+
+    iterations: int = 40
+    lr_rotation: float = 1e-3
+    """Adam's rate on the rotation's parameters [rad, or quaternion units]."""
+    lr_translation: float = 1e-3
+    """Adam's rate on the camera centre [m]."""
+    rotation: str = "axis_angle"
+    keep_best: bool = True
+    """Keep the pose of the smallest measured loss instead of the last one."""
+    num_pixels: int = 1024
+    """Rays per iteration, for maps that take rays."""
+    border_px: int = 0
+    """Rays keep this distance from the image border."""
+    stop_patience: int = 0
+    """End after this many iterations without the loss improving by `stop_tolerance`; 0 never does."""
+    stop_tolerance: float = 1e-3
+    """Relative."""
+
+    def __post_init__(self) -> None:
+        require(self.iterations >= 1, "algo.tracking.iterations", self.iterations, "be at least 1")
+        require(self.lr_rotation >= 0, "algo.tracking.lr_rotation", self.lr_rotation, "not be negative")
+        require(self.lr_translation >= 0, "algo.tracking.lr_translation", self.lr_translation, "not be negative")
+        require_choice("algo.tracking.rotation", self.rotation, ("axis_angle", "quaternion"))
+        require(self.num_pixels >= 1, "algo.tracking.num_pixels", self.num_pixels, "be at least 1")
+        require(self.border_px >= 0, "algo.tracking.border_px", self.border_px, "not be negative")
+        require(self.stop_patience >= 0, "algo.tracking.stop_patience", self.stop_patience, "not be negative")
+        require(self.stop_tolerance >= 0, "algo.tracking.stop_tolerance", self.stop_tolerance, "not be negative")
+
+
+@dataclass
+class IterativeMappingConfig(MappingConfig):
+    """Map optimisation over a window of keyframes."""
+
+    iterations: int = 60
+    first_iterations: int = 0
+    """Iterations on the first frame; 0 takes `iterations`."""
+    keyframes: str = "overlap"
+    """How the window is chosen: random, overlap (ranked), overlap_random, window (latest), all."""
+    window: int = 24
+    """Frames in the window, the latest keyframe and the current frame among them."""
+    lr_pose_rotation: float = 0.0
+    """Adam's rate on the rotations of the window's poses; 0 leaves them."""
+    lr_pose_translation: float = 0.0
+    """Adam's rate on the window's camera centres [m]; 0 leaves them."""
+    pose_accumulate: int = 1
+    """Iterations whose pose gradients are summed before a pose steps."""
+    num_pixels: int = 2048
+    """Rays per iteration over the whole window, for maps that take rays."""
+    keep_optimiser: bool = False
+    """Keep the optimiser's moments from one mapped frame to the next."""
+
+    def __post_init__(self) -> None:
+        require(self.iterations >= 1, "algo.mapping.iterations", self.iterations, "be at least 1")
+        require(self.first_iterations >= 0, "algo.mapping.first_iterations", self.first_iterations, "not be negative")
+        policies = ("random", "overlap", "overlap_random", "window", "all")
+        require_choice("algo.mapping.keyframes", self.keyframes, policies)
+        require(self.window >= 1, "algo.mapping.window", self.window, "be at least 1")
+        require(self.lr_pose_rotation >= 0, "algo.mapping.lr_pose_rotation", self.lr_pose_rotation, "not be negative")
+        lr_translation = self.lr_pose_translation
+        require(lr_translation >= 0, "algo.mapping.lr_pose_translation", lr_translation, "not be negative")
+        require(self.pose_accumulate >= 1, "algo.mapping.pose_accumulate", self.pose_accumulate, "be at least 1")
+        require(self.num_pixels >= 1, "algo.mapping.num_pixels", self.num_pixels, "be at least 1")
+
+
+@dataclass
+class AlgorithmConfig:
+    """What every algorithm has; `tracking` and `mapping` are chosen by `algo/tracking=` and `algo/mapping=`."""
+
+    name: str = "???"
+    map_every: int = 1
+    """Map every n-th frame; the first frame is always mapped."""
+    keyframe_every: int = 5
+    """Make every n-th frame a keyframe."""
+    first_pose: str = "auto"
+    """Where the world is: `ground_truth` starts at the data's first pose, `identity` at the first camera, `auto` takes
+    the data's where there is one. It moves no figure, only the frame that maps are written in."""
+    motion: str = "constant_velocity"
+    """How the next pose is predicted: none, constant_velocity."""
+    tracking: Any = field(default_factory=TrackingConfig)
+    mapping: Any = field(default_factory=MappingConfig)
+
+    def __post_init__(self) -> None:
+        require(self.map_every >= 1, "algo.map_every", self.map_every, "be at least 1")
+        require(self.keyframe_every >= 1, "algo.keyframe_every", self.keyframe_every, "be at least 1")
+        require_choice("algo.first_pose", self.first_pose, ("auto", "identity", "ground_truth"))
+        require_choice("algo.motion", self.motion, ("none", "constant_velocity"))

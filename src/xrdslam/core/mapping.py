@@ -1,0 +1,142 @@
+"""Improving the map by a frame."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from xrdslam.core.batch import Batch, ImageBatch
+from xrdslam.core.config import IterativeMappingConfig, MappingConfig
+from xrdslam.core.dataset import Modality
+from xrdslam.core.frame import Frame
+from xrdslam.core.keyframes import select_keyframes
+from xrdslam.core.model import Model
+from xrdslam.core.optimisation import GroupedOptimiser, IterativeOptimisation, ParameterGroup
+from xrdslam.core.sampling import sample_rays
+
+__all__ = ["GradientMapping", "MappingMethod", "MappingProblem", "MappingResult"]
+
+
+@dataclass
+class MappingResult:
+    """What a mapping step did."""
+
+    iterations: int = 0
+    loss: float = float("nan")
+    num_added: int = 0
+    poses: dict[int, Tensor] = field(default_factory=dict)
+    """Poses that moved: frame index -> T_world_camera. The algorithm writes them into the trajectory."""
+
+
+class MappingMethod(ABC):
+    """Puts frames into the map. `changes_map` is false for methods that leave it alone (pure odometry)."""
+
+    needs: ClassVar[frozenset[Modality]] = frozenset({"rgb"})
+    changes_map: ClassVar[bool] = True
+
+    def __init__(self, config: MappingConfig, seed: int = 0) -> None:
+        self.config: Any = config
+        self.generator = torch.Generator().manual_seed(seed)
+
+    @abstractmethod
+    def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        """Grow and improve the map by `frame`, whose pose is `frame.pose`; `keyframes` are the earlier ones, in order."""
+
+    def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        """Refine once more after the last frame."""
+        return MappingResult()
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return what a resumed run needs."""
+        return {"generator": self.generator.get_state()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state_dict` returned."""
+        self.generator.set_state(state["generator"])
+
+
+@dataclass
+class MappingProblem:
+    """A map to be improved over a window of frames, the current one last."""
+
+    model: Model
+    window: list[Frame]
+    is_first: bool
+    anchor_index: int
+    """The frame whose pose holds the world: it never moves."""
+    memory: dict[str, Any] = field(default_factory=dict)
+
+
+class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
+    """Grows the map, then descends the model's own mapping losses over a keyframe window; poses too where rates are set."""
+
+    needs = frozenset({"rgb", "depth"})
+    config: IterativeMappingConfig
+
+    def __init__(self, config: IterativeMappingConfig, seed: int = 0) -> None:
+        super().__init__(config, seed)
+        self._optimiser: GroupedOptimiser | None = None
+
+    def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        """Extend by the frame, choose the window, optimise, report the poses that moved."""
+        is_first = model.size == 0
+        added = model.extend(frame, frame.pose.matrix().detach())
+        window = self.select(frame, keyframes)
+        anchor = keyframes[0].index if keyframes else frame.index
+        problem = MappingProblem(model, window, is_first, anchor)
+        optimum = self.optimise(problem)
+        moved = self.movable(problem)
+        poses = {f.index: f.pose.matrix().detach() for f in moved}
+        return MappingResult(optimum.iterations, float(optimum.loss), added, poses)
+
+    def select(self, frame: Frame, keyframes: Sequence[Frame]) -> list[Frame]:
+        """Choose the window."""
+        return select_keyframes(self.config.keyframes, keyframes, frame, self.config.window, self.generator)
+
+    def num_iterations(self, problem: MappingProblem) -> int:
+        first = self.config.first_iterations or self.config.iterations
+        return first if problem.is_first else self.config.iterations
+
+    def movable(self, problem: MappingProblem) -> list[Frame]:
+        """Return the frames whose poses are optimised: all but the anchor, where rates are set."""
+        if self.config.lr_pose_rotation == 0 and self.config.lr_pose_translation == 0:
+            return []
+        return [f for f in problem.window if f.index != problem.anchor_index]
+
+    def groups(self, problem: MappingProblem) -> list[ParameterGroup]:
+        rates = (self.config.lr_pose_rotation, self.config.lr_pose_translation)
+        poses = [
+            ParameterGroup(**group, accumulate=self.config.pose_accumulate)
+            for frame in self.movable(problem)
+            for group in frame.pose.parameter_groups(*rates)
+        ]
+        return [*problem.model.parameter_groups(), *poses]
+
+    def optimiser(self, problem: MappingProblem) -> GroupedOptimiser:
+        """Build the optimiser anew, or keep the map's moments where the method wants them kept."""
+        if not self.config.keep_optimiser:
+            return super().optimiser(problem)
+        if self._optimiser is None or problem.is_first:
+            self._optimiser = super().optimiser(problem)
+        return self._optimiser
+
+    def batch(self, problem: MappingProblem) -> Batch:
+        """Draw one window frame at random, or rays over the whole window, as the map takes them."""
+        moved = {f.index for f in self.movable(problem)}
+        if problem.model.batch_kind == "image":
+            drawn = int(torch.randint(len(problem.window), (1,), generator=self.generator))
+            frame = problem.window[drawn]
+            return ImageBatch(frame, _pose(frame, frame.index in moved))
+        poses = [_pose(f, f.index in moved) for f in problem.window]
+        return sample_rays(problem.window, poses, self.config.num_pixels, self.generator)
+
+    def losses(self, problem: MappingProblem, iteration: int) -> dict[str, Tensor]:
+        return problem.model.losses(self.batch(problem), "mapping")
+
+
+def _pose(frame: Frame, moves: bool) -> Tensor:
+    matrix = frame.pose.matrix()
+    return matrix if moves else matrix.detach()

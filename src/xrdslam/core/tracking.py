@@ -1,0 +1,155 @@
+"""Finding where a frame was taken."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from xrdslam.core.batch import Batch, BatchKind, ImageBatch
+from xrdslam.core.config import IterativeTrackingConfig, TrackingConfig
+from xrdslam.core.dataset import Modality
+from xrdslam.core.frame import Frame
+from xrdslam.core.model import Model
+from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup
+from xrdslam.core.pose import OptimizablePose
+from xrdslam.core.sampling import sample_rays
+from xrdslam.core.trajectory import Trajectory
+
+__all__ = ["GradientTracking", "TrackingMethod", "TrackingProblem", "TrackingResult", "frozen"]
+
+
+class TrackingResult(NamedTuple):
+    """Where a frame was taken, and how sure that is."""
+
+    T_world_camera: Float[Tensor, "4 4"]
+    is_lost: bool = False
+    """True: nothing better than the prediction is known; the algorithm keeps the prediction and marks the frame."""
+    converged: bool = True
+    iterations: int = 0
+    loss: float = float("nan")
+    reason: str = ""
+    """Why the frame is lost."""
+
+
+class TrackingMethod(ABC):
+    """Finds the pose of one frame after the other.
+
+    `frame.pose` holds the motion model's prediction when `track` is called. `needs` says what a frame must carry,
+    `follows_map` whether the method looks at the model (and then which batches the model must take).
+    """
+
+    needs: ClassVar[frozenset[Modality]] = frozenset({"rgb"})
+    follows_map: ClassVar[bool] = False
+
+    def __init__(self, config: TrackingConfig, seed: int = 0) -> None:
+        self.config: Any = config
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def start(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> None:
+        """Hear of the first frame, whose pose is given."""
+        self.integrate(frame, T_world_camera)
+
+    @abstractmethod
+    def track(self, frame: Frame, model: Model, trajectory: Trajectory) -> TrackingResult:
+        """Find the pose of `frame`."""
+
+    def integrate(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> None:
+        """Hear of the pose that was accepted (methods that keep a map of their own grow it here)."""
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return what a resumed run needs."""
+        return {"generator": self.generator.get_state()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state_dict` returned."""
+        self.generator.set_state(state["generator"])
+
+
+@contextmanager
+def frozen(model: Model) -> Iterator[None]:
+    """Let no gradient reach the map: half of the backward pass is saved and nothing accumulates by accident."""
+    movable = [p for p in model.parameters() if p.requires_grad]
+    for parameter in movable:
+        parameter.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for parameter in movable:
+            parameter.requires_grad_(True)
+
+
+@dataclass
+class TrackingProblem:
+    """One frame to be tracked against a frozen map."""
+
+    frame: Frame
+    model: Model
+    pose: OptimizablePose
+    best_seen: float = float("inf")
+    stale_iterations: int = 0
+    memory: dict[str, Any] = field(default_factory=dict)
+    """Whatever a method keeps between the iterations of one frame."""
+
+
+class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
+    """Moves the pose down the gradient of the model's own tracking losses (Adam, from the predicted pose).
+
+    Works with any map that brings `losses`; a method whose tracking differs overrides the steps that differ.
+    """
+
+    needs = frozenset({"rgb", "depth"})
+    follows_map = True
+    batch_kinds: ClassVar[frozenset[BatchKind]] = frozenset({"image", "rays"})
+    config: IterativeTrackingConfig
+
+    def __init__(self, config: IterativeTrackingConfig, seed: int = 0) -> None:
+        super().__init__(config, seed)
+        self.keep_best = config.keep_best
+
+    def track(self, frame: Frame, model: Model, trajectory: Trajectory) -> TrackingResult:
+        """Predict, descend, keep the best; lost where no iteration had a finite loss."""
+        predicted = frame.pose.matrix().detach()
+        if model.size == 0:
+            return TrackingResult(predicted, is_lost=True, converged=False, reason="the map is empty")
+        pose = OptimizablePose.from_matrix(predicted, self.config.rotation)
+        with frozen(model):
+            optimum = self.optimise(TrackingProblem(frame, model, pose))
+        if not optimum.is_finite:
+            return TrackingResult(predicted, True, False, optimum.iterations, reason="the tracking loss is not finite")
+        found = OptimizablePose(*optimum.best, kind=pose.kind).matrix().detach()
+        return TrackingResult(found, iterations=optimum.iterations, loss=float(optimum.loss))
+
+    def num_iterations(self, problem: TrackingProblem) -> int:
+        return self.config.iterations
+
+    def groups(self, problem: TrackingProblem) -> list[ParameterGroup]:
+        rates = problem.pose.parameter_groups(self.config.lr_rotation, self.config.lr_translation)
+        return [ParameterGroup(**group) for group in rates]
+
+    def candidate(self, problem: TrackingProblem) -> tuple[Tensor, ...]:
+        return problem.pose.rotation, problem.pose.translation
+
+    def batch(self, problem: TrackingProblem) -> Batch:
+        """Draw what one iteration looks at, in the kind that the map takes."""
+        if problem.model.batch_kind == "image":
+            return ImageBatch(problem.frame, problem.pose.matrix())
+        poses = [problem.pose.matrix()]
+        return sample_rays([problem.frame], poses, self.config.num_pixels, self.generator, self.config.border_px)
+
+    def losses(self, problem: TrackingProblem, iteration: int) -> dict[str, Tensor]:
+        return problem.model.losses(self.batch(problem), "tracking")
+
+    def should_stop(self, problem: TrackingProblem, iteration: int, loss: Tensor) -> bool:
+        """Stop after `stop_patience` iterations without progress (off by default; reads the loss only when on)."""
+        if not self.config.stop_patience:
+            return False
+        value = float(loss)
+        improved = value < problem.best_seen * (1 - self.config.stop_tolerance)
+        problem.stale_iterations = 0 if improved else problem.stale_iterations + 1
+        problem.best_seen = min(value, problem.best_seen)
+        return problem.stale_iterations >= self.config.stop_patience
