@@ -70,7 +70,7 @@ class Camera:
         return dataclasses.replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
 
     def undistort_maps(self) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-        """Return the maps (x, y) [px] that `cv2.remap` takes to undistort an image, K kept; colour and depth share them."""
+        """Return the maps (x, y) [px] by which `cv2.remap` undistorts an image, K kept; colour and depth share them."""
         import cv2
 
         matrix = self.K(torch.float64).numpy()

@@ -45,7 +45,8 @@ class Frame(nn.Module):
         """Hold rgb in [0, 1], depth [m] along z with 0 = no measurement, and start the pose at the identity."""
         super().__init__()
         if tuple(rgb.shape[:2]) != (camera.height, camera.width):
-            raise ValueError(f"image of {tuple(rgb.shape[:2])}, camera of {(camera.height, camera.width)} (rows, columns)")
+            size = (camera.height, camera.width)
+            raise ValueError(f"image of {tuple(rgb.shape[:2])}, camera of {size} (rows, columns)")
         self.index = index
         self.timestamp_ns = timestamp_ns
         self.camera = camera

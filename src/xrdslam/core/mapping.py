@@ -43,7 +43,7 @@ class MappingMethod(ABC):
 
     @abstractmethod
     def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
-        """Grow and improve the map by `frame`, whose pose is `frame.pose`; `keyframes` are the earlier ones, in order."""
+        """Grow and improve the map by `frame`, seen from `frame.pose`; `keyframes` are the earlier ones, in order."""
 
     def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
         """Refine once more after the last frame."""
@@ -71,7 +71,7 @@ class MappingProblem:
 
 
 class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
-    """Grows the map, then descends the model's own mapping losses over a keyframe window; poses too where rates are set."""
+    """Grows the map, then descends its own mapping losses over a keyframe window; poses too where rates are set."""
 
     needs = frozenset({"rgb", "depth"})
     config: IterativeMappingConfig
@@ -107,21 +107,22 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
         return [f for f in problem.window if f.index != problem.anchor_index]
 
     def groups(self, problem: MappingProblem) -> list[ParameterGroup]:
+        return problem.model.parameter_groups()
+
+    def pose_groups(self, problem: MappingProblem) -> list[ParameterGroup]:
+        """Return the window's poses as groups; they are built anew at every call, whatever the map's optimiser does."""
         rates = (self.config.lr_pose_rotation, self.config.lr_pose_translation)
-        poses = [
+        return [
             ParameterGroup(**group, accumulate=self.config.pose_accumulate)
             for frame in self.movable(problem)
             for group in frame.pose.parameter_groups(*rates)
         ]
-        return [*problem.model.parameter_groups(), *poses]
 
     def optimiser(self, problem: MappingProblem) -> GroupedOptimiser:
-        """Build the optimiser anew, or keep the map's moments where the method wants them kept."""
-        if not self.config.keep_optimiser:
-            return super().optimiser(problem)
-        if self._optimiser is None or problem.is_first:
-            self._optimiser = super().optimiser(problem)
-        return self._optimiser
+        """Build the optimiser: the map's anew or with its moments kept (`keep_optimiser`), the poses' always anew."""
+        if self._optimiser is None or problem.is_first or not self.config.keep_optimiser:
+            self._optimiser = GroupedOptimiser(self.groups(problem))
+        return self._optimiser.joined(GroupedOptimiser(self.pose_groups(problem)))
 
     def batch(self, problem: MappingProblem) -> Batch:
         """Draw one window frame at random, or rays over the whole window, as the map takes them."""

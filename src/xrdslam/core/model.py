@@ -78,5 +78,5 @@ class Model(nn.Module, ABC):
 
     def _cannot(self, capability: str) -> PluginError:
         return PluginError(
-            f"the map {type(self).__name__} has no {capability!r}; choose a tracking or mapping method that does without"
+            f"the map {type(self).__name__} has no {capability!r}; choose a method that does without"
         )

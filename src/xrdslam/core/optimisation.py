@@ -66,6 +66,13 @@ class GroupedOptimiser:
             for group in self.groups
         ]
 
+    def joined(self, other: "GroupedOptimiser") -> "GroupedOptimiser":
+        """Return one optimiser that steps the groups of both and shares their moments."""
+        both = GroupedOptimiser([])
+        both.groups = self.groups + other.groups
+        both._optimisers = self._optimisers + other._optimisers
+        return both
+
     def zero_grad(self) -> None:
         """Forget every gradient."""
         for optimiser in self._optimisers:

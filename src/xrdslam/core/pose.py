@@ -15,7 +15,7 @@ RotationKind = Literal["axis_angle", "quaternion"]
 
 
 class OptimizablePose(nn.Module):
-    """T_world_camera as two parameters: a rotation (axis-angle [rad] or quaternion w, x, y, z) and the camera centre [m].
+    """T_world_camera as two parameters: rotation (axis-angle [rad] or quaternion w, x, y, z) and camera centre [m].
 
     Value and gradient of `matrix` are exact at the identity and near half a turn, in float32 and float64: an optimiser
     that starts at the identity moves (a constant returned there would be a dead point).

@@ -58,7 +58,7 @@ class TrackingMethod(ABC):
     def track(self, frame: Frame, model: Model, trajectory: Trajectory) -> TrackingResult:
         """Find the pose of `frame`."""
 
-    def integrate(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> None:
+    def integrate(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> None:  # noqa: B027  # optional step
         """Hear of the pose that was accepted (methods that keep a map of their own grow it here)."""
 
     def state_dict(self) -> dict[str, Tensor]:

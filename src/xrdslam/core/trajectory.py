@@ -43,9 +43,13 @@ class Trajectory:
         """Frame indices in the order of tracking."""
         return list(self._entries)
 
+    def lost(self, index: int) -> bool:
+        """Say whether a frame kept a predicted pose because tracking failed."""
+        return self._entries[index].is_lost
+
     @property
     def is_lost(self) -> Bool[Tensor, " n"]:
-        """Which frames kept a predicted pose because tracking failed."""
+        """Which frames are lost."""
         return torch.tensor([entry.is_lost for entry in self._entries.values()], dtype=torch.bool)
 
     @property

@@ -20,8 +20,8 @@ def exp(omega: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
 
     R = I + a W + b W^2 with a = sin(t)/t, b = (1 - cos t)/t^2, t = |omega|  (Rodrigues' formula).
 
-    a and b are even in t: below t^2 < eps^(1/3) their series in t^2 replace them, and the product with sines of t/2
-    avoids the cancellation of 1 - cos t above it; value *and* gradient stay exact at the identity, where tracking starts.
+    a and b are even in t: below t^2 < eps^(1/3) their series in t^2 replace them, and 1 - cos t = 2 sin^2(t/2) avoids
+    cancellation above it; value *and* gradient stay exact at the identity, where tracking starts.
     """
     t2 = (omega * omega).sum(-1)
     small = t2 < torch.finfo(omega.dtype).eps ** (1 / 3)
@@ -71,8 +71,8 @@ def to_quat_wxyz(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch
 def log(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     """Map rotation matrices to rotation vectors [rad] of length at most pi.
 
-    Through the unit quaternion: omega = 2 atan2(|v|, w) v / |v|; near the identity 2 atan2(|v|, w)/|v| is replaced by its
-    series 2 (1 - r^2/3 (1 - 3 r^2/5)) / w with r = |v|/w, whose gradient is exact at zero.
+    Through the unit quaternion: omega = 2 atan2(|v|, w) v / |v|; near the identity 2 atan2(|v|, w) / |v| is replaced by
+    its series in r = |v|/w, 2/w (1 - r^2/3 + r^4/5 - ...), whose gradient is exact at zero.
     """
     quat_wxyz = to_quat_wxyz(rotation)
     w, v = quat_wxyz[..., 0], quat_wxyz[..., 1:]
@@ -81,7 +81,7 @@ def log(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     norm = torch.where(small, torch.ones_like(v2), v2).sqrt()
     w_safe = torch.where(small, w, torch.ones_like(w))
     r2 = v2 / (w_safe * w_safe)
-    series = 2 / w_safe * (1 - r2 / 3 * (1 - 3 * r2 / 5 * (1 - 5 * r2 / 7 * (1 - 7 * r2 / 9))))
+    series = 2 / w_safe * (1 - r2 * (1 / 3 - r2 * (1 / 5 - r2 * (1 / 7 - r2 / 9))))
     factor = torch.where(small, series, 2 * torch.atan2(norm, w) / norm)
     return factor[..., None] * v
 

@@ -1,0 +1,1 @@
+"""The interfaces: what a dataset, a map, a tracker, a mapper and an algorithm are."""

@@ -1,0 +1,205 @@
+"""A method: one map, one way of tracking, one way of mapping, and the trajectory."""
+
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor
+
+from xrdslam.core.camera import Camera
+from xrdslam.core.config import AlgorithmConfig
+from xrdslam.core.dataset import Dataset, Modality
+from xrdslam.core.errors import DataError, PluginError
+from xrdslam.core.frame import Frame
+from xrdslam.core.mapping import MappingMethod, MappingResult
+from xrdslam.core.model import Model
+from xrdslam.core.motion import MOTION_MODELS
+from xrdslam.core.tracking import TrackingMethod, TrackingResult
+from xrdslam.core.trajectory import Trajectory
+
+__all__ = ["Algorithm", "Scene"]
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is known of a sequence before its first frame."""
+
+    camera: Camera
+    modalities: frozenset[Modality]
+    bounds: Float64[Tensor, "2 3"] | None = None
+    """Corners (min, max) [m] where the data states them; otherwise a method that needs bounds finds them in the depth."""
+    name: str = ""
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> "Scene":
+        """Read it off a dataset."""
+        return cls(dataset.camera, dataset.modalities, dataset.bounds, dataset.name)
+
+
+class Algorithm(ABC):
+    """Composes a model, a tracking and a mapping method, and owns the trajectory: nobody else says where a frame is.
+
+    An engine calls `track` with every frame in order, then `map`, and `finish` after the last. A subclass says how its
+    map is built (`build_model`) and overrides the steps that differ; odometry overrides `build_model` with its patch
+    graph and takes `algo/mapping=none`, reconstruction from given poses takes `algo/tracking=ground_truth`.
+    """
+
+    needs: ClassVar[frozenset[Modality]] = frozenset({"rgb"})
+    """What the map needs of a frame, whichever methods track and map."""
+    model: Model
+
+    def __init__(
+        self, config: AlgorithmConfig, tracking: TrackingMethod, mapping: MappingMethod, device: str = "cpu"
+    ) -> None:
+        self.config = config
+        self.tracking = tracking
+        self.mapping = mapping
+        self.device = torch.device(device)
+        self.trajectory = Trajectory()
+        self.keyframes: list[Frame] = []
+
+    @abstractmethod
+    def build_model(self, scene: Scene, frame: Frame) -> Model:
+        """Build the empty map; `frame` is the first one, its pose set (scene bounds come from its depth)."""
+
+    def check(self, scene: Scene) -> None:
+        """Refuse data or combinations that cannot work, before the first frame."""
+        needs = self.needs | self.tracking.needs | (self.mapping.needs if self.mapping.changes_map else frozenset())
+        missing = sorted(needs - scene.modalities)
+        if missing:
+            raise DataError(
+                f"{scene.name} has {', '.join(sorted(scene.modalities))}, but algo={self.config.name} with "
+                f"algo/tracking={self.tracking.config.name} and algo/mapping={self.mapping.config.name} needs "
+                f"{', '.join(missing)} as well; choose another sequence, or methods that do without"
+            )
+        if self.tracking.follows_map and not self.mapping.changes_map:
+            log.warning(
+                "algo/tracking=%s follows the map and algo/mapping=%s makes none: every frame will be lost; "
+                "algo/tracking=gicp, constant_velocity or ground_truth do without a map",
+                self.tracking.config.name,
+                self.mapping.config.name,
+            )
+
+    def start(self, scene: Scene, frame: Frame) -> TrackingResult:
+        """Set the world by the first frame and build the empty map."""
+        pose = self.first_pose(frame)
+        frame.pose.set_(pose)
+        self.model = self.build_model(scene, frame).to(self.device)
+        if self.tracking.follows_map and self.mapping.changes_map:
+            self._check_batches()
+        self.trajectory.append(frame.index, frame.timestamp_ns, pose)
+        self.tracking.start(frame, pose)
+        return TrackingResult(pose)
+
+    def first_pose(self, frame: Frame) -> Float[Tensor, "4 4"]:
+        """Return the pose that holds the world: the data's or the identity, as `first_pose` says."""
+        identity = torch.eye(4, dtype=frame.rgb.dtype, device=frame.device)
+        given = frame.T_world_camera_gt
+        if self.config.first_pose == "identity":
+            return identity
+        if given is not None and bool(torch.isfinite(given).all()):
+            return given.to(identity)
+        if self.config.first_pose == "ground_truth":
+            raise DataError(
+                f"algo.first_pose=ground_truth: frame {frame.index} has no finite ground-truth pose; use identity"
+            )
+        return identity
+
+    def track(self, frame: Frame) -> TrackingResult:
+        """Predict, track, record. A lost frame keeps the prediction and is marked."""
+        predicted = self.predict(frame)
+        frame.pose.set_(predicted)
+        result = self.tracking.track(frame, self.model, self.trajectory)
+        if not result.is_lost and not bool(torch.isfinite(result.T_world_camera).all()):
+            result = result._replace(is_lost=True, reason="the pose found is not finite")
+        if result.is_lost:
+            result = result._replace(T_world_camera=predicted, converged=False)
+        frame.pose.set_(result.T_world_camera)
+        self.trajectory.append(frame.index, frame.timestamp_ns, result.T_world_camera, result.is_lost)
+        if not result.is_lost:
+            self.tracking.integrate(frame, result.T_world_camera)
+        return result
+
+    def predict(self, frame: Frame) -> Float[Tensor, "4 4"]:
+        """Return the motion model's guess."""
+        return MOTION_MODELS[self.config.motion](self.trajectory).to(frame.rgb)
+
+    def map(self, frame: Frame) -> MappingResult | None:
+        """Map a frame where it is due; write back the poses that moved; add it to the keyframes where it is one."""
+        result = None
+        if self.is_mapped(frame):
+            result = self.mapping.map(frame, self.model, self.keyframes)
+            self.accept(result.poses)
+        if self.is_keyframe(frame):
+            self.trajectory.make_keyframe(frame.index)
+            self.keyframes.append(frame)
+        return result
+
+    def is_mapped(self, frame: Frame) -> bool:
+        """Say whether the frame goes into the map: the first, every `map_every`-th, and never a lost one."""
+        if self._is_lost(frame):
+            return False
+        return frame.index % self.config.map_every == 0 or not self.keyframes
+
+    def is_keyframe(self, frame: Frame) -> bool:
+        """Say whether the frame becomes a keyframe: the first, every `keyframe_every`-th, and never a lost one."""
+        if self._is_lost(frame):
+            return False
+        return frame.index % self.config.keyframe_every == 0 or not self.keyframes
+
+    def accept(self, poses: dict[int, Tensor]) -> None:
+        """Write poses that mapping moved into the trajectory; a pose that is not finite is refused and said."""
+        for index, T_world_camera in poses.items():
+            if bool(torch.isfinite(T_world_camera).all()):
+                self.trajectory.update(index, T_world_camera)
+            else:
+                log.warning("mapping moved frame %d to a pose that is not finite; the earlier pose is kept", index)
+
+    def finish(self) -> None:
+        """Refine after the last frame."""
+        self.accept(self.mapping.finish(self.model, self.keyframes).poses)
+
+    def state_dict(self) -> dict[str, dict[str, Tensor]]:
+        """Return everything that a resumed run needs, keyframe images excepted (the dataset has them)."""
+        poses = [keyframe.pose.matrix().detach() for keyframe in self.keyframes]
+        keyframes = {
+            "indices": torch.tensor([keyframe.index for keyframe in self.keyframes]),
+            "poses": torch.stack(poses) if poses else torch.empty(0, 4, 4),
+        }
+        return {
+            "trajectory": self.trajectory.state_dict(),
+            "model": dict(self.model.state_dict()),
+            "tracking": self.tracking.state_dict(),
+            "mapping": self.mapping.state_dict(),
+            "keyframes": keyframes,
+        }
+
+    def load_state_dict(self, state: dict[str, dict[str, Tensor]], keyframes: Iterable[Frame]) -> None:
+        """Take over what `state_dict` returned; `keyframes` are the frames of `state["keyframes"]["indices"]`."""
+        self.trajectory.load_state_dict(state["trajectory"])
+        self.model.load_state_dict(state["model"])
+        self.tracking.load_state_dict(state["tracking"])
+        self.mapping.load_state_dict(state["mapping"])
+        self.keyframes = list(keyframes)
+        for keyframe, pose in zip(self.keyframes, state["keyframes"]["poses"], strict=True):
+            keyframe.pose.set_(pose)
+
+    def _is_lost(self, frame: Frame) -> bool:
+        return frame.index in self.trajectory and self.trajectory.lost(frame.index)
+
+    def _check_batches(self) -> None:
+        kinds = getattr(self.tracking, "batch_kinds", frozenset())
+        model = type(self.model)
+        if self.model.batch_kind not in kinds or not model.supports("losses"):
+            raise PluginError(
+                f"algo/tracking={self.tracking.config.name} reads {' or '.join(sorted(kinds))} batches, but the map of "
+                f"algo={self.config.name} ({model.__name__}) gives "
+                f"{self.model.batch_kind + ' batches' if model.supports('losses') else 'no losses'}; "
+                "choose a tracking method of the same family, or gicp"
+            )
