@@ -33,7 +33,7 @@ class Scene:
     camera: Camera
     modalities: frozenset[Modality]
     bounds: Float64[Tensor, "2 3"] | None = None
-    """Corners (min, max) [m] where the data states them; otherwise a method that needs bounds finds them in the depth."""
+    """Corners (min, max) [m] where the data states them; a method that needs bounds else finds them in the depth."""
     name: str = ""
 
     @classmethod
@@ -194,9 +194,9 @@ class Algorithm(ABC):
         return frame.index in self.trajectory and self.trajectory.lost(frame.index)
 
     def _check_batches(self) -> None:
-        kinds = getattr(self.tracking, "batch_kinds", frozenset())
+        kinds = self.tracking.batch_kinds
         model = type(self.model)
-        if self.model.batch_kind not in kinds or not model.supports("losses"):
+        if kinds and (self.model.batch_kind not in kinds or not model.supports("losses")):
             raise PluginError(
                 f"algo/tracking={self.tracking.config.name} reads {' or '.join(sorted(kinds))} batches, but the map of "
                 f"algo={self.config.name} ({model.__name__}) gives "

@@ -52,7 +52,7 @@ def _vertex_table(points: Float[np.ndarray, "n 3"], colors: Float[np.ndarray, "n
 
 def write_ply(path: Path, tables: dict[str, np.ndarray]) -> None:
     """Write structured arrays as the elements of a binary little-endian PLY; the file appears whole or not at all."""
-    from plyfile import PlyData, PlyElement
+    from plyfile import PlyData, PlyElement  # type: ignore[import-untyped]  # ships no stubs
 
     part = path.with_name(path.name + ".part")
     PlyData([PlyElement.describe(table, name) for name, table in tables.items()], byte_order="<").write(str(part))

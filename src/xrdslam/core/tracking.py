@@ -16,7 +16,7 @@ from xrdslam.core.dataset import Modality
 from xrdslam.core.frame import Frame
 from xrdslam.core.model import Model
 from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup
-from xrdslam.core.pose import OptimizablePose
+from xrdslam.core.pose import OptimizablePose, RotationKind
 from xrdslam.core.sampling import sample_rays
 from xrdslam.core.trajectory import Trajectory
 
@@ -40,11 +40,13 @@ class TrackingMethod(ABC):
     """Finds the pose of one frame after the other.
 
     `frame.pose` holds the motion model's prediction when `track` is called. `needs` says what a frame must carry,
-    `follows_map` whether the method looks at the model (and then which batches the model must take).
+    `follows_map` whether the method looks at the model, and `batch_kinds` which of its losses it can then descend
+    (empty: it uses the model in its own way).
     """
 
     needs: ClassVar[frozenset[Modality]] = frozenset({"rgb"})
     follows_map: ClassVar[bool] = False
+    batch_kinds: ClassVar[frozenset[BatchKind]] = frozenset()
 
     def __init__(self, config: TrackingConfig, seed: int = 0) -> None:
         self.config: Any = config
@@ -104,7 +106,7 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
 
     needs = frozenset({"rgb", "depth"})
     follows_map = True
-    batch_kinds: ClassVar[frozenset[BatchKind]] = frozenset({"image", "rays"})
+    batch_kinds = frozenset({"image", "rays"})
     config: IterativeTrackingConfig
 
     def __init__(self, config: IterativeTrackingConfig, seed: int = 0) -> None:
@@ -116,12 +118,14 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
         predicted = frame.pose.matrix().detach()
         if model.size == 0:
             return TrackingResult(predicted, is_lost=True, converged=False, reason="the map is empty")
-        pose = OptimizablePose.from_matrix(predicted, self.config.rotation)
+        kind: RotationKind = "quaternion" if self.config.rotation == "quaternion" else "axis_angle"
+        pose = OptimizablePose.from_matrix(predicted, kind)
         with frozen(model):
             optimum = self.optimise(TrackingProblem(frame, model, pose))
         if not optimum.is_finite:
             return TrackingResult(predicted, True, False, optimum.iterations, reason="the tracking loss is not finite")
-        found = OptimizablePose(*optimum.best, kind=pose.kind).matrix().detach()
+        rotation, translation = optimum.best
+        found = OptimizablePose(rotation, translation, kind).matrix().detach()
         return TrackingResult(found, iterations=optimum.iterations, loss=float(optimum.loss))
 
     def num_iterations(self, problem: TrackingProblem) -> int:

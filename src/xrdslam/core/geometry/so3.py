@@ -12,7 +12,7 @@ def skew(omega: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     x, y, z = omega.unbind(-1)
     zero = torch.zeros_like(x)
     rows = (zero, -z, y, z, zero, -x, -y, x, zero)
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    return torch.stack(rows, -1).reshape(*rows[0].shape, 3, 3)
 
 
 def exp(omega: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -43,7 +43,7 @@ def from_quat_wxyz(quat_wxyz: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batc
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     )  # fmt: skip
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    return torch.stack(rows, -1).reshape(*rows[0].shape, 3, 3)
 
 
 def to_quat_wxyz(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
@@ -60,7 +60,7 @@ def to_quat_wxyz(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch
     xy, xz, yz = m[0][1] + m[1][0], m[0][2] + m[2][0], m[1][2] + m[2][1]
     s = squares.unbind(-1)
     rows = (s[0], wx, wy, wz, wx, s[1], xy, xz, wy, xy, s[2], yz, wz, xz, yz, s[3])
-    candidates = torch.stack(rows, -1).unflatten(-1, (4, 4))
+    candidates = torch.stack(rows, -1).reshape(*wx.shape, 4, 4)
     best = squares.detach().argmax(-1)
     index = best[..., None, None].expand(*best.shape, 1, 4)
     quat_wxyz = candidates.gather(-2, index).squeeze(-2)
