@@ -63,7 +63,7 @@ class Dataset(torch.utils.data.Dataset[Frame], ABC):
 
     @property
     def bounds(self) -> Float64[Tensor, "2 3"] | None:
-        """The corners (min, max) of the scene [m] where the data states them; else algorithms find them in the depth."""
+        """The corners (min, max) of the scene [m] where the data states them; else algorithms look in the depth."""
         return None
 
     def frames(self) -> Iterator[Frame]:

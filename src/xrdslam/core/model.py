@@ -1,6 +1,7 @@
 """The map of a method."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -14,7 +15,7 @@ from xrdslam.core.frame import Frame
 from xrdslam.core.optimisation import ParameterGroup
 from xrdslam.core.surface import PointCloud, TriangleMesh
 
-__all__ = ["Model", "Rendering"]
+__all__ = ["Model", "Rendering", "View"]
 
 
 class Rendering(NamedTuple):
@@ -26,6 +27,13 @@ class Rendering(NamedTuple):
     """Depth along z [m], 0 where nothing is seen."""
     opacity: Float[Tensor, "h w"]
     """How much of the pixel the map explains, in [0, 1]."""
+
+
+class View(NamedTuple):
+    """From where a scene was seen."""
+
+    camera: Camera
+    T_world_camera: Float[Tensor, "4 4"]
 
 
 class Model(nn.Module, ABC):
@@ -59,8 +67,8 @@ class Model(nn.Module, ABC):
         """Return what a camera sees; no measured depth helps."""
         raise self._cannot("render")
 
-    def mesh(self) -> TriangleMesh:
-        """Return the surface."""
+    def mesh(self, views: Sequence[View]) -> TriangleMesh:
+        """Return the surface of the map; `views` say from where the scene was seen."""
         raise self._cannot("mesh")
 
     def point_cloud(self) -> PointCloud:
