@@ -1,0 +1,1 @@
+"""Sequences of frames, one family of file layouts a module."""

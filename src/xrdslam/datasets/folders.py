@@ -1,0 +1,47 @@
+"""The folder of a scene: where it is, what it holds, and what there is instead."""
+
+import difflib
+from pathlib import Path
+
+from xrdslam.core.errors import DataError
+from xrdslam.datasets.config import DatasetConfig
+
+__all__ = ["dataset_name", "scene_folder", "subfolders"]
+
+
+def scene_folder(config: DatasetConfig) -> Path:
+    """Return `dataset.path` if set, else `dataset.root`/`dataset.scene`; a DataError says what there is instead."""
+    if config.path:
+        folder = Path(config.path).expanduser()
+        if not folder.is_dir():
+            raise DataError(f"dataset.path={config.path}: no such folder{_nearby(folder)}")
+        return folder
+    root = Path(config.root).expanduser()
+    if not root.is_dir():
+        raise DataError(
+            f"dataset.root={config.root}: no such folder to look for scene {config.scene!r} in; set dataset.root to the"
+            " folder that holds the scenes, or dataset.path to the scene's own"
+        )
+    folder = root / config.scene
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such scene{_nearby(folder)} Or set dataset.path to the scene's own folder")
+    return folder
+
+
+def dataset_name(config: DatasetConfig, folder: Path) -> str:
+    """Return `<family>/<scene>`; a scene given by its path is called as its folder."""
+    return f"{config.family}/{folder.resolve().name if config.path else config.scene}"
+
+
+def subfolders(folder: Path) -> list[str]:
+    """Return the names of the visible folders in a folder, sorted."""
+    return sorted(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
+
+
+def _nearby(folder: Path) -> str:
+    """Say what there is beside a folder that is missing."""
+    parent = next(p for p in folder.absolute().parents if p.is_dir())
+    names = subfolders(parent)
+    near = difflib.get_close_matches(folder.name, names, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    return f"{hint} In {parent} there is: {', '.join(names) if names else 'no folder at all'}."
