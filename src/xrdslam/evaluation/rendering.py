@@ -1,0 +1,186 @@
+"""How well a map renders what was photographed: the loop over frames, their rows, the means.
+
+The renderer is a function of a camera and a pose: it has no way to see the measured depth of the frame.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Float64
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from xrdslam.core.camera import Camera
+from xrdslam.core.model import Rendering
+from xrdslam.evaluation.errors import EvaluationError
+from xrdslam.evaluation.image_quality import depth_l1_cm, ms_ssim, psnr, ssim
+from xrdslam.evaluation.metrics import JsonValue, MetricGroup
+
+__all__ = ["EvaluatedFrame", "FrameRow", "Render", "RenderingMetrics", "rendered_frames"]
+
+Render = Callable[[Camera, Tensor], Rendering]
+Image = Float64[Tensor, "h w 3"]
+Depth = Float64[Tensor, "h w"]
+
+IMAGE_MEASURES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {"psnr_db": psnr, "ssim": ssim, "ms_ssim": ms_ssim}
+MEASURES = (*IMAGE_MEASURES, "depth_l1_cm")
+MASK_MEANING = {
+    "valid_depth": "both images times [measured depth > 0], all pixels averaged",
+    "none": "whole images",
+}
+
+
+@runtime_checkable
+class EvaluatedFrame(Protocol):
+    """What the evaluation reads of a frame."""
+
+    @property
+    def index(self) -> int:
+        """Its place in the sequence."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera it was taken with."""
+
+    @property
+    def rgb(self) -> Float[Tensor, "h w 3"]:
+        """Colour in [0, 1]."""
+
+    @property
+    def depth(self) -> Float[Tensor, "h w"] | None:
+        """Measured depth [m], 0 = none."""
+
+
+@dataclass(frozen=True)
+class FrameRow:
+    """The numbers of one frame. None: not defined (`RenderingMetrics.reasons` says why); NaN: a broken rendering."""
+
+    index: int
+    psnr_db: float | None
+    ssim: float | None
+    ms_ssim: float | None
+    depth_l1_cm: float | None
+
+
+def rendered_frames(
+    render: Render, frames: Iterable[EvaluatedFrame], poses: Mapping[int, Tensor], every: int
+) -> Iterator[tuple[EvaluatedFrame, Rendering]]:
+    """Yield every `every`-th frame that has a finite pose (`poses`: T_world_camera by frame index) with its rendering.
+
+    Of a Dataset only these frames are read. The pose is handed over in the frame's dtype, on its device.
+    """
+    indices = [index for index in sorted(poses) if index % every == 0 and bool(poses[index].isfinite().all())]
+    for frame in _only(frames, indices):
+        with torch.no_grad():
+            yield frame, render(frame.camera, poses[frame.index].to(frame.rgb))
+
+
+def _only(frames: Iterable[EvaluatedFrame], indices: list[int]) -> Iterator[EvaluatedFrame]:
+    if isinstance(frames, Dataset):
+        yield from (frames[index] for index in indices)
+    else:
+        wanted = set(indices)
+        yield from (frame for frame in frames if frame.index in wanted)
+
+
+class RenderingMetrics:
+    """Gathers rows of compared frames and their means, under one protocol."""
+
+    def __init__(self, every: int, mask: str = "valid_depth", views: str = "train", poses: str = "final") -> None:
+        """Compare under `mask`; `views` says whether the map was built from these frames, `poses` whose they are."""
+        if mask not in MASK_MEANING:
+            raise EvaluationError(f"mask {mask!r}: must be one of {', '.join(MASK_MEANING)}")
+        self.every, self.mask, self.views, self.poses = every, mask, views, poses
+        self.rows: list[FrameRow] = []
+        self.reasons: dict[str, str] = {}
+
+    def add(self, frame: EvaluatedFrame, rendering: Rendering) -> FrameRow:
+        """Compare a rendering with its frame, in float64, and keep the row."""
+        if rendering.rgb.shape != frame.rgb.shape or rendering.depth.shape != frame.rgb.shape[:2]:
+            raise EvaluationError(
+                f"frame {frame.index} is {tuple(frame.rgb.shape)}, its rendering {tuple(rendering.rgb.shape)} "
+                f"with depth {tuple(rendering.depth.shape)}; render with the frame's own camera"
+            )
+        photograph = _exact(frame.rgb)
+        measured = None if frame.depth is None else _exact(frame.depth)
+        rendered, depth = (_exact(image).to(photograph.device) for image in (rendering.rgb, rendering.depth))
+        scores = self._image_scores(rendered.clamp(0.0, 1.0), photograph, measured)
+        row = FrameRow(frame.index, **scores, depth_l1_cm=self._depth_score(depth, measured))
+        self.rows.append(row)
+        return row
+
+    def _image_scores(self, rendered: Image, photograph: Image, measured: Depth | None) -> dict[str, float | None]:
+        if self.mask == "valid_depth":
+            if measured is None or not (measured > 0).any():
+                reason = "without measured depth there is no valid-depth mask; evaluation.mask=none compares all"
+                self.reasons.update(dict.fromkeys(IMAGE_MEASURES, reason))
+                return dict.fromkeys(IMAGE_MEASURES)
+            rendered, photograph = (_masked(image, measured > 0) for image in (rendered, photograph))
+        return {key: self._score(key, measure, rendered, photograph) for key, measure in IMAGE_MEASURES.items()}
+
+    def _depth_score(self, depth: Depth, measured: Depth | None) -> float | None:
+        if measured is None:
+            self.reasons["depth_l1_cm"] = "a frame has no measured depth"
+            return None
+        return self._score("depth_l1_cm", depth_l1_cm, depth, measured)
+
+    def _score(self, key: str, measure: Callable[[Tensor, Tensor], Tensor], x: Tensor, y: Tensor) -> float | None:
+        try:
+            return measure(x, y).item()
+        except EvaluationError as error:
+            self.reasons[key] = str(error)
+            return None
+
+    def group(self) -> MetricGroup:
+        """Return the means over frames and their protocol; one broken rendering makes a mean null, never better."""
+        group = MetricGroup(f"rendering/{self.views}", self.protocol())
+        for key in MEASURES:
+            scores = {row.index: score for row in self.rows if (score := getattr(row, key)) is not None}
+            if not scores:
+                group.refuse((key,), self.reasons.get(key, "no frame was rendered"))
+            elif all(map(math.isfinite, scores.values())):
+                group.add(key, math.fsum(scores.values()) / len(scores))
+            else:
+                group.refuse((key,), _broken(scores))
+        return group
+
+    def protocol(self) -> dict[str, JsonValue]:
+        """Say under which conditions these rows were made."""
+        return {
+            **({"left_out_because": dict(self.reasons)} if self.reasons else {}),
+            "views": self.views,
+            "poses": self.poses,
+            "stride": self.every,
+            "mask": self.mask,
+            "mask_meaning": MASK_MEANING[self.mask],
+            "frames": len(self.rows),
+            "frames_in_mean": {key: sum(getattr(row, key) is not None for row in self.rows) for key in MEASURES},
+            "ground_truth_depth_given_to_renderer": "no",
+            "rendering_clamped_to_unit_range": "yes",
+            "mean": "over frames, of each frame's value",
+            "psnr_db": "peak 1, squared error pooled over pixels and channels",
+            "ssim": "Wang 2004, 11x11 Gaussian window, sigma 1.5 px",
+            "ms_ssim": "Wang 2003, 5 scales",
+            "depth_l1_cm": "mean |rendered - measured| where measured > 0, rendering as is, holes counted",
+        }
+
+
+def _broken(scores: Mapping[int, float]) -> str:
+    broken = [index for index, score in scores.items() if math.isnan(score)]
+    if broken:
+        return f"{len(broken)} renderings have non-finite values, the first is of frame {broken[0]}"
+    equal = [index for index, score in scores.items() if math.isinf(score)]
+    return f"{len(equal)} renderings are without bound, or equal the photograph; the first is of frame {equal[0]}"
+
+
+def _exact(image: Tensor) -> Tensor:
+    """Return it in float64, on its own device if that can."""
+    return image.detach().to("cpu" if image.device.type == "mps" else image.device, torch.float64)
+
+
+def _masked(image: Image, is_kept: Bool[Tensor, "h w"]) -> Image:
+    """Return the image, black where not kept (selected, not multiplied: 0 x NaN is NaN)."""
+    return torch.where(is_kept[..., None], image, torch.zeros_like(image))
