@@ -2,7 +2,7 @@
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -122,6 +122,7 @@ class Algorithm(ABC):
             result = result._replace(T_world_camera=predicted, converged=False)
         frame.pose.set_(result.T_world_camera)
         self.trajectory.append(frame.index, frame.timestamp_ns, result.T_world_camera, result.is_lost)
+        self.accept(result.poses)
         if not result.is_lost:
             self.tracking.integrate(frame, result.T_world_camera)
         return result
@@ -153,16 +154,17 @@ class Algorithm(ABC):
             return False
         return frame.index % self.config.keyframe_every == 0 or not self.keyframes
 
-    def accept(self, poses: dict[int, Tensor]) -> None:
-        """Write poses that mapping moved into the trajectory; a pose that is not finite is refused and said."""
+    def accept(self, poses: Mapping[int, Tensor]) -> None:
+        """Write poses that a method moved into the trajectory; a pose that is not finite is refused and said."""
         for index, T_world_camera in poses.items():
             if bool(torch.isfinite(T_world_camera).all()):
                 self.trajectory.update(index, T_world_camera)
             else:
-                log.warning("mapping moved frame %d to a pose that is not finite; the earlier pose is kept", index)
+                log.warning("frame %d was moved to a pose that is not finite; the earlier pose is kept", index)
 
     def finish(self) -> None:
         """Refine after the last frame."""
+        self.accept(self.tracking.finish(self.model))
         self.accept(self.mapping.finish(self.model, self.keyframes).poses)
 
     def state_dict(self) -> dict[str, dict[str, Tensor]]:

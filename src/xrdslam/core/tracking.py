@@ -1,9 +1,10 @@
 """Finding where a frame was taken."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -34,6 +35,8 @@ class TrackingResult(NamedTuple):
     loss: float = float("nan")
     reason: str = ""
     """Why the frame is lost."""
+    poses: Mapping[int, Tensor] = MappingProxyType({})
+    """Earlier frames that are now believed elsewhere (odometry over a window): frame index -> T_world_camera."""
 
 
 class TrackingMethod(ABC):
@@ -62,6 +65,10 @@ class TrackingMethod(ABC):
 
     def integrate(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> None:  # noqa: B027  # optional step
         """Hear of the pose that was accepted (methods that keep a map of their own grow it here)."""
+
+    def finish(self, model: Model) -> Mapping[int, Tensor]:
+        """Refine once more after the last frame; return the poses that moved."""
+        return {}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what a resumed run needs."""
