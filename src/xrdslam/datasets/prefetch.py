@@ -1,7 +1,7 @@
 """Frames read ahead of their use by one background thread."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import torch
@@ -11,7 +11,7 @@ from xrdslam.core.frame import Frame
 __all__ = ["prefetch"]
 
 
-def prefetch(frames: Iterator[Frame], device: torch.device | str = "cpu", lookahead: int = 2) -> Iterator[Frame]:
+def prefetch(frames: Iterator[Frame], device: torch.device | str = "cpu", lookahead: int = 2) -> Generator[Frame, None, None]:
     """Yield the same frames in the same order, on `device`, at most `lookahead` of them read before they are asked for.
 
     What reading raises arrives here, at the frame where it happened, after those before it. Closing the iterator (or

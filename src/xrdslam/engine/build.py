@@ -1,0 +1,54 @@
+"""From settings to objects: what the registry says stands behind each name."""
+
+import dataclasses
+
+import numpy as np
+import torch
+
+from xrdslam.core.algorithm import Algorithm
+from xrdslam.core.config import AlgorithmConfig, RunConfig
+from xrdslam.core.dataset import Dataset
+from xrdslam.core.errors import ConfigError
+from xrdslam.core.registry import Registry, installed
+
+__all__ = ["build_algorithm", "build_dataset", "resolve_device"]
+
+
+def build_dataset(config: RunConfig, registry: Registry | None = None) -> Dataset:
+    """Open the dataset of a run and check everything that can be checked before the first frame."""
+    registry = registry or installed()
+    dataset = registry.dataset(config.dataset.family).load()(config.dataset)
+    assert isinstance(dataset, Dataset), f"{type(dataset).__name__} is no Dataset"
+    dataset.check()
+    return dataset
+
+
+def build_algorithm(
+    config: AlgorithmConfig, seed: int = 0, device: str = "cpu", registry: Registry | None = None
+) -> Algorithm:
+    """Compose an algorithm; tracking and mapping draw from streams of their own, both fixed by `seed`."""
+    registry = registry or installed()
+    seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(2)]
+    tracking = registry.tracking_method(config.tracking.name).load()(config.tracking, seed=seeds[0])
+    mapping = registry.mapping_method(config.mapping.name).load()(config.mapping, seed=seeds[1])
+    algorithm = registry.algorithm(config.name).load()(config, tracking, mapping, device)
+    assert isinstance(algorithm, Algorithm), f"{type(algorithm).__name__} is no Algorithm"
+    return algorithm
+
+
+def resolve_device(name: str) -> str:
+    """Return a device that torch has, or say which it has."""
+    accelerator = torch.accelerator.current_accelerator() if torch.accelerator.is_available() else None
+    if name == "auto":
+        return "cpu" if accelerator is None else str(accelerator)
+    try:
+        torch.empty(0, device=name)
+    except (RuntimeError, AssertionError) as error:
+        has = "cpu" if accelerator is None else f"cpu, {accelerator}"
+        raise ConfigError(f"device={name}: not usable here ({str(error).splitlines()[0]}); there is {has}") from error
+    return name
+
+
+def settings_of(config: RunConfig) -> dict[str, object]:
+    """Return a run's settings as plain data."""
+    return dataclasses.asdict(config)

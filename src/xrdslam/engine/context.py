@@ -1,0 +1,46 @@
+"""What belongs to one run."""
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from xrdslam.core.algorithm import Algorithm, Scene
+from xrdslam.core.config import RunConfig
+from xrdslam.core.dataset import Dataset
+from xrdslam.core.frame import Frame
+from xrdslam.core.registry import Registry
+from xrdslam.engine.directory import RunDirectory
+from xrdslam.engine.profile import Profile
+
+__all__ = ["Run"]
+
+
+@dataclass
+class Run:
+    """A run, as hooks see it: settings, data, method, results so far."""
+
+    config: RunConfig
+    directory: RunDirectory
+    dataset: Dataset
+    algorithm: Algorithm
+    registry: Registry
+    device: str
+    profile: Profile = field(default_factory=Profile)
+    ground_truth: dict[int, Tensor] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> Scene:
+        """What is known of the sequence."""
+        return Scene.of(self.dataset)
+
+    @property
+    def title(self) -> str:
+        """`<algorithm> on <dataset>`."""
+        return f"{self.config.algo.name} on {self.dataset.name}"
+
+    def note(self, frame: Frame) -> None:
+        """Keep a frame's ground truth for the evaluation; an unknown pose is NaN."""
+        unknown = torch.full((4, 4), torch.nan, dtype=torch.float64)
+        given = frame.T_world_camera_gt
+        self.ground_truth[frame.index] = unknown if given is None else given.detach().to("cpu", torch.float64)

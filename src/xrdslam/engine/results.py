@@ -1,0 +1,89 @@
+"""What a run leaves behind: trajectories, the map, figures."""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import save_file
+
+from xrdslam.core.errors import XrdslamError
+from xrdslam.core.model import View
+from xrdslam.engine.context import Run
+from xrdslam.engine.directory import write_text
+from xrdslam.evaluation import EvalMetrics, Metrics, Trajectories
+
+__all__ = ["evaluate", "save_map", "save_trajectories"]
+
+log = logging.getLogger(__name__)
+
+
+def save_trajectories(run: Run) -> None:
+    """Write the online, final and ground-truth trajectories, the keyframes, and the time that each frame took."""
+    trajectory = run.algorithm.trajectory
+    stamps = trajectory.timestamps_ns.tolist()
+    run.directory.write_trajectory("online", stamps, trajectory.online())
+    run.directory.write_trajectory("final", stamps, trajectory.current())
+    known = [run.ground_truth[index] for index in trajectory.indices]
+    if any(bool(torch.isfinite(pose).all()) for pose in known):
+        run.directory.write_trajectory("ground_truth", stamps, torch.stack(known))
+    lost = [index for index in trajectory.indices if trajectory.lost(index)]
+    run.directory.write_keyframes([frame.index for frame in run.algorithm.keyframes], lost)
+    write_text(run.directory.path / "timing.csv", run.profile.csv())
+
+
+def save_map(run: Run) -> None:
+    """Write the map's state, and whatever views of it the method offers; one that fails is said and skipped."""
+    model = run.algorithm.model
+    _save_state(run.directory.map / "map.safetensors", model)
+    if model.size == 0:
+        log.warning("the map is empty: no mesh, cloud or splats are written")
+        return
+    views = [
+        View(frame.camera, run.algorithm.trajectory.pose(frame.index).to(frame.rgb)) for frame in run.algorithm.keyframes
+    ]
+    writers: dict[str, Callable[[], object]] = {
+        "export": lambda: model.export(run.directory.map),
+        "point_cloud": lambda: model.point_cloud().write(run.directory.map / "cloud.ply"),
+        "mesh": lambda: model.mesh(views).write(run.directory.map / "mesh.ply"),
+    }
+    for capability, write in writers.items():
+        if not model.supports(capability):
+            continue
+        try:
+            write()
+        except (XrdslamError, OSError, MemoryError) as error:
+            log.error("%s of the map was not written: %s", capability, error)
+
+
+def _save_state(path: Path, model: torch.nn.Module) -> None:
+    tensors: dict[str, torch.Tensor] = model.state_dict()
+    state = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    part = path.with_name(path.name + ".part")
+    save_file(state, part)
+    part.replace(path)
+
+
+def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
+    """Measure, write metrics.json and the pictures."""
+    trajectory, model = run.algorithm.trajectory, run.algorithm.model
+    truth = np.stack([run.ground_truth[index].numpy() for index in trajectory.indices])
+    poses = Trajectories(
+        online=trajectory.online().numpy(),
+        final=trajectory.current().numpy(),
+        ground_truth=truth if np.isfinite(truth).all((1, 2)).any() else None,
+        is_lost=trajectory.is_lost.numpy(),
+        indices=trajectory.indices,
+    )
+    renders = with_rendering and model.size > 0 and model.supports("render")
+    protocol = {
+        "wall": "from the first frame's reading to the end of the last refinement; evaluation and files excluded",
+        "tracking": "per frame over all frames but the first",
+        "threads": str(torch.get_num_threads()),
+        "device": run.device,
+        "preset": run.config.preset,
+    }
+    return EvalMetrics(run.config.evaluation).evaluate(
+        poses, model.render if renders else None, run.dataset, run.profile.metrics(), protocol, run.directory.path
+    )

@@ -1,0 +1,48 @@
+"""The two stages of a run, timed and announced: Tracker and Mapper."""
+
+from xrdslam.core.algorithm import Algorithm, Scene
+from xrdslam.core.frame import Frame
+from xrdslam.core.mapping import MappingResult
+from xrdslam.core.tracking import TrackingResult
+from xrdslam.engine.profile import FrameCost, Profile
+
+__all__ = ["Mapper", "Tracker"]
+
+
+class Tracker:
+    """Finds the pose of each frame."""
+
+    def __init__(self, algorithm: Algorithm, scene: Scene, profile: Profile) -> None:
+        self.algorithm = algorithm
+        self.scene = scene
+        self.profile = profile
+        self._started = False
+
+    def step(self, frame: Frame, cost: FrameCost) -> TrackingResult:
+        """Track a frame; the first one sets the world."""
+        with self.profile.stage(cost, "tracking"):
+            if self._started:
+                result = self.algorithm.track(frame)
+            else:
+                result = self.algorithm.start(self.scene, frame)
+                self._started = True
+        cost.tracking_iterations = result.iterations
+        cost.is_lost = result.is_lost
+        return result
+
+
+class Mapper:
+    """Puts each frame into the map."""
+
+    def __init__(self, algorithm: Algorithm, profile: Profile) -> None:
+        self.algorithm = algorithm
+        self.profile = profile
+
+    def step(self, frame: Frame, cost: FrameCost) -> MappingResult | None:
+        """Map a frame where it is due."""
+        with self.profile.stage(cost, "mapping"):
+            result = self.algorithm.map(frame)
+        cost.mapping_iterations = result.iterations if result is not None else 0
+        cost.map_size = self.algorithm.model.size
+        cost.is_keyframe = bool(self.algorithm.keyframes) and self.algorithm.keyframes[-1] is frame
+        return result
