@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +13,13 @@ from jaxtyping import Bool
 from numpy.typing import NDArray
 from torch import Tensor
 
+from xrdslam.core.errors import XrdslamError
 from xrdslam.core.model import Rendering
 from xrdslam.evaluation.config import EvaluationConfig
 from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.metrics import MetricGroup, Metrics, assemble, write_metrics
 from xrdslam.evaluation.plots import trajectory_figure, write_figure
-from xrdslam.evaluation.rendering import EvaluatedFrame, FrameRow, Render, RenderingMetrics, rendered_frames
+from xrdslam.evaluation.rendering import MEASURES, EvaluatedFrame, FrameRow, Render, RenderingMetrics, rendered_frames
 from xrdslam.evaluation.side_by_side import side_by_side
 from xrdslam.evaluation.trajectory import (
     Poses,
@@ -28,6 +30,8 @@ from xrdslam.evaluation.trajectory import (
 )
 
 __all__ = ["EvalMetrics", "Trajectories"]
+
+log = logging.getLogger(__name__)
 
 ATE_STATISTICS = ("rmse_cm", "mean_cm", "median_cm", "max_cm", "std_cm")
 RPE_KEYS = ("rpe_translation_rmse_cm", "rpe_rotation_rmse_deg")
@@ -140,11 +144,17 @@ class EvalMetrics:
         self, render: Render, frames: Iterable[EvaluatedFrame], trajectories: Trajectories, run_dir: Path | None
     ) -> MetricGroup:
         measure = RenderingMetrics(self.config.every, self.config.mask)
-        poses = dict(zip(trajectories.frame_indices, torch.from_numpy(trajectories.final), strict=True))
-        for frame, rendering in rendered_frames(render, frames, poses, self.config.every):
-            row = measure.add(frame, rendering)
-            if run_dir is not None and self.config.pictures_every and frame.index % self.config.pictures_every == 0:
-                _write_picture(run_dir / "renders" / f"frame_{frame.index:06d}.png", frame, rendering, row)
+        poses = dict(zip(trajectories.frame_indices, torch.tensor(trajectories.final), strict=True))
+        try:
+            for frame, rendering in rendered_frames(render, frames, poses, self.config.every):
+                row = measure.add(frame, rendering)
+                if run_dir is not None and self.config.pictures_every and frame.index % self.config.pictures_every == 0:
+                    _write_picture(run_dir / "renders" / f"frame_{frame.index:06d}.png", frame, rendering, row)
+        except XrdslamError as error:
+            log.warning("the renderings were not evaluated: %s", error)
+            group = MetricGroup(f"rendering/{measure.views}", measure.protocol())
+            group.refuse(MEASURES, f"rendering stopped after {len(measure.rows)} frames: {error}")
+            return group
         if run_dir is not None:
             _write_rows(run_dir / "renders" / "metrics.csv", measure.rows)
         group = measure.group()

@@ -19,7 +19,7 @@ from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.image_quality import depth_l1_cm, ms_ssim, psnr, ssim
 from xrdslam.evaluation.metrics import JsonValue, MetricGroup
 
-__all__ = ["EvaluatedFrame", "FrameRow", "Render", "RenderingMetrics", "rendered_frames"]
+__all__ = ["MEASURES", "EvaluatedFrame", "FrameRow", "Render", "RenderingMetrics", "rendered_frames"]
 
 Render = Callable[[Camera, Tensor], Rendering]
 Image = Float64[Tensor, "h w 3"]

@@ -105,7 +105,7 @@ def _draw(figure: Figure, panel: _Panel, total: tuple[int, int], box: tuple[int,
 def _draw_bar(figure: Figure, scale: _Scale, total: tuple[int, int], corner: tuple[int, int]) -> None:
     """Draw low, bar, high into a strip, ending at its upper right `corner` [px]."""
     right, top = corner
-    low, high = f"{scale.low:.3g}", f"{'≥ ' if scale.is_open_above else ''}{scale.high:.3g}{scale.unit}"
+    low, high = f"{round(scale.low, 2):g}", f"{'≥ ' * scale.is_open_above}{round(scale.high, 2):g}{scale.unit}"
     length, thickness = 90, 8
     bar_right = right - 7 * len(high) - 12
     axes = figure.add_axes(_fraction(total, bar_right - length, top + (STRIP - thickness) // 2, length, thickness))
