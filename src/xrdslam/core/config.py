@@ -7,9 +7,11 @@ from xrdslam.core.errors import ConfigError
 
 __all__ = [
     "AlgorithmConfig",
+    "EngineConfig",
     "IterativeMappingConfig",
     "IterativeTrackingConfig",
     "MappingConfig",
+    "RunConfig",
     "TrackingConfig",
     "require",
     "require_choice",
@@ -130,3 +132,36 @@ class AlgorithmConfig:
         require(self.keyframe_every >= 1, "algo.keyframe_every", self.keyframe_every, "be at least 1")
         require_choice("algo.first_pose", self.first_pose, ("auto", "identity", "ground_truth"))
         require_choice("algo.motion", self.motion, ("none", "constant_velocity"))
+
+
+@dataclass
+class EngineConfig:
+    """How a run is carried out, chosen by `engine=`."""
+
+    name: str = "sequential"
+    progress: bool = True
+    """Show frames/s and what remains: a bar on a terminal, a line now and then elsewhere."""
+
+
+@dataclass
+class RunConfig:
+    """A whole run, as the command line composes it and as it is written beside its results."""
+
+    algo: Any = field(default_factory=AlgorithmConfig)
+    dataset: Any = "???"
+    engine: Any = field(default_factory=EngineConfig)
+    evaluation: Any = "???"
+    seed: int = 0
+    device: str = "cpu"
+    """Where tensors live, as torch names it; `auto` takes an accelerator where there is one."""
+    threads: int = 0
+    """Threads of every library; 0 takes all cores."""
+    settings: str = "none"
+    """The dataset family whose published settings are in force (by default that of `dataset`)."""
+    preset: str = "published"
+    """What is laid over the published settings, such as fast."""
+    run_dir: str = "???"
+
+    def __post_init__(self) -> None:
+        require(self.seed >= 0, "seed", self.seed, "not be negative")
+        require(self.threads >= 0, "threads", self.threads, "be the number of threads, or 0 for all cores")

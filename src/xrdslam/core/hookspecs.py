@@ -10,7 +10,7 @@ Registration hooks return records and import nothing heavy; run-time hooks watch
         return [AlgorithmInfo("mine", "mine.algorithm:Mine", "mine.config:MineConfig")]
 """
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pluggy
 
@@ -23,6 +23,11 @@ from xrdslam.core.records import (
     TrackingMethodInfo,
     ViewerInfo,
 )
+
+if TYPE_CHECKING:  # a plugin's module must cost nothing, so torch is not imported to name a type
+    from xrdslam.core.frame import Frame
+    from xrdslam.core.mapping import MappingResult
+    from xrdslam.core.tracking import TrackingResult
 
 __all__ = ["PROJECT", "REGISTRATION_HOOKS", "HookSpecs", "hookimpl", "hookspec"]
 
@@ -77,17 +82,17 @@ class HookSpecs:
         return []
 
     @hookspec
-    def xrdslam_run_started(self, run: Any) -> None:
+    def xrdslam_run_started(self, run: object) -> None:
         """Hear that a run begins; its algorithm, dataset and run directory exist."""
 
     @hookspec
-    def xrdslam_frame_tracked(self, run: Any, frame: Any, result: Any) -> None:
+    def xrdslam_frame_tracked(self, run: object, frame: "Frame", result: "TrackingResult") -> None:
         """Hear of a tracked frame and its `TrackingResult`."""
 
     @hookspec
-    def xrdslam_map_updated(self, run: Any, frame: Any, result: Any) -> None:
+    def xrdslam_map_updated(self, run: object, frame: "Frame", result: "MappingResult") -> None:
         """Hear of a frame that went into the map, and of its `MappingResult`."""
 
     @hookspec
-    def xrdslam_run_finished(self, run: Any, metrics: Any) -> None:
+    def xrdslam_run_finished(self, run: object, metrics: object) -> None:
         """Hear that a run is over and what was measured."""

@@ -35,15 +35,15 @@ class Info:
     group: ClassVar[str] = ""
     """The Hydra group that chooses it."""
 
-    def load(self) -> Any:
+    def load(self) -> Any:  # noqa: ANN401  # what it is depends on the kind
         """Import what the name stands for."""
         return self._import(self.target)
 
-    def load_config(self) -> Any:
+    def load_config(self) -> Any:  # noqa: ANN401  # a dataclass, for which there is no type
         """Import the dataclass of its settings."""
         return self._import(self.config)
 
-    def _import(self, path: str) -> Any:
+    def _import(self, path: str) -> object:
         """Import `module:attribute`; whatever goes wrong is the plugin's, and the message says whose."""
         module, _, attribute = path.partition(":")
         try:

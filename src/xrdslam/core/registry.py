@@ -1,4 +1,4 @@
-"""What is installed: the plugins of entry-point group `xrdslam`, found one by one so that one fault costs one plugin."""
+"""What is installed: plugins of entry-point group `xrdslam`, found one by one so that one fault costs one plugin."""
 
 import difflib
 import functools
@@ -38,7 +38,7 @@ class BrokenPlugin:
 
     def __str__(self) -> str:
         return (
-            f"plugin {self.name!r} of {self.distribution} cannot be used: {type(self.cause).__name__}: {self.cause}; "
+            f"plugin {self.name!r} of {self.distribution} cannot be used ({type(self.cause).__name__}: {self.cause}); "
             "upgrade or uninstall that distribution"
         )
 
@@ -55,6 +55,7 @@ class Registry:
         self._manager = pluggy.PluginManager(PROJECT)
         self._manager.add_hookspecs(HookSpecs)
         self._distributions: dict[Any, str] = {}
+        self._silenced: set[tuple[str, Any]] = set()
         self._records: dict[type[Info], dict[str, list[Info]]] = {kind: {} for kind in REGISTRATION_HOOKS.values()}
 
     @classmethod
@@ -67,7 +68,7 @@ class Registry:
             try:
                 registry.register(point.load(), distribution)
             except Exception as error:
-                registry._refuse(BrokenPlugin(point.name, distribution, error))
+                registry.refuse(BrokenPlugin(point.name, distribution, error))
         return registry
 
     def register(self, plugin: object, distribution: str) -> None:
@@ -83,15 +84,23 @@ class Registry:
         for record in records:
             self._add(replace(record, distribution=distribution))
 
-    def notify(self, hook: str, **arguments: Any) -> None:
+    def refuse(self, plugin: BrokenPlugin) -> None:
+        """Record a plugin that cannot be used, with one warning."""
+        if plugin.name not in self.broken:
+            log.warning("%s", plugin)
+        self.broken[plugin.name] = plugin
+
+    def notify(self, hook: str, **arguments: object) -> None:
         """Call a run-time hook of every plugin. One that raises is reported and not called again: it costs no run."""
-        for implementation in reversed(getattr(self._manager.hook, hook).get_hookimpls()):
+        for implementation in getattr(self._manager.hook, hook).get_hookimpls():
+            if (hook, implementation.plugin) in self._silenced:
+                continue
             try:
                 implementation.function(*[arguments[name] for name in implementation.argnames])
             except Exception as error:
                 whose = self._distributions.get(implementation.plugin, "a plugin")
                 log.warning("hook %s of %s raised %r; it is not called again", hook, whose, error)
-                getattr(self._manager.hook, hook)._remove_plugin(implementation.plugin)
+                self._silenced.add((hook, implementation.plugin))
 
     def all(self, kind: type[Record]) -> dict[str, Record]:
         """Return every usable record of a kind, by name; names that two distributions claim are left out."""
@@ -141,15 +150,11 @@ class Registry:
         if len(claims) > 1:
             log.warning("%s", _clash(claims))
 
-    def _refuse(self, plugin: BrokenPlugin) -> None:
-        self.broken[plugin.name] = plugin
-        log.warning("%s", plugin)
-
     def _unknown(self, kind: type[Info], name: str) -> str:
         known = list(self.all(kind))
         near = difflib.get_close_matches(name, known, n=1)
-        advice = f"did you mean {near[0]!r}?" if near else f"try `pip install {PROJECT}-{name.replace('_', '-')}`"
-        return f"no {kind.kind} {name!r}; {advice} Installed: {', '.join(known) or 'none'}."
+        advice = f"did you mean {near[0]!r}?" if near else f"try `pip install {PROJECT}-{name.replace('_', '-')}`;"
+        return f"no {kind.kind} {name!r}; {advice} installed: {', '.join(known) or 'none'}"
 
 
 @functools.cache

@@ -1,0 +1,1 @@
+"""SplaTAM: dense RGB-D SLAM on 3-D Gaussians."""

@@ -1,0 +1,1 @@
+"""Published settings per dataset family, and presets."""

@@ -1,0 +1,69 @@
+"""What the core distribution itself registers, through the same hooks as any plugin."""
+
+from xrdslam.core.hookspecs import hookimpl
+from xrdslam.core.records import DatasetInfo, MappingMethodInfo, TrackingMethodInfo
+
+__all__ = ["xrdslam_datasets", "xrdslam_mapping_methods", "xrdslam_tracking_methods"]
+
+
+@hookimpl
+def xrdslam_datasets() -> list[DatasetInfo]:
+    """Register the dataset families."""
+    return [
+        DatasetInfo(
+            "synthetic",
+            "xrdslam.datasets.synthetic:SyntheticDataset",
+            "xrdslam.datasets.config:SyntheticConfig",
+            "a ray-cast room made on the spot: exact poses and depth, nothing to download",
+        ),
+        DatasetInfo(
+            "replica",
+            "xrdslam.datasets.replica:ReplicaDataset",
+            "xrdslam.datasets.config:ReplicaConfig",
+            "Replica's rooms and offices as NICE-SLAM rendered them",
+        ),
+        DatasetInfo(
+            "seven_scenes",
+            "xrdslam.datasets.seven_scenes:SevenScenesDataset",
+            "xrdslam.datasets.config:SevenScenesConfig",
+            "Microsoft's 7-Scenes, Kinect recordings",
+        ),
+    ]
+
+
+@hookimpl
+def xrdslam_tracking_methods() -> list[TrackingMethodInfo]:
+    """Register the stock tracking methods, which follow no map."""
+    return [
+        TrackingMethodInfo(
+            "ground_truth",
+            "xrdslam.methods.ground_truth:GroundTruthTracking",
+            "xrdslam.methods.config:GroundTruthTrackingConfig",
+            "the data's own poses",
+        ),
+        TrackingMethodInfo(
+            "constant_velocity",
+            "xrdslam.methods.constant_velocity:ConstantVelocityTracking",
+            "xrdslam.methods.config:ConstantVelocityTrackingConfig",
+            "the last motion once more: the floor that any tracker must beat",
+        ),
+        TrackingMethodInfo(
+            "gicp",
+            "xrdslam.methods.gicp:GicpTracking",
+            "xrdslam.methods.config:GicpTrackingConfig",
+            "depth registered to a Gaussian voxel map (generalised ICP; extra `gicp`)",
+        ),
+    ]
+
+
+@hookimpl
+def xrdslam_mapping_methods() -> list[MappingMethodInfo]:
+    """Register the stock mapping methods."""
+    return [
+        MappingMethodInfo(
+            "none",
+            "xrdslam.methods.no_mapping:NoMapping",
+            "xrdslam.methods.config:NoMappingConfig",
+            "no map: pure odometry",
+        ),
+    ]

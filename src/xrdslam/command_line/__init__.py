@@ -1,0 +1,1 @@
+"""What `python -m xrdslam` does before and after a run: composing, helping, explaining."""

@@ -1,0 +1,1 @@
+"""Stock trackers and mappers that any algorithm can be combined with."""
