@@ -132,7 +132,7 @@ def _png_chunks_end(file: BinaryIO) -> bool:
     file.seek(8)
     while len(head := file.read(8)) == 8:
         if head[4:] == b"IEND":
-            return True
+            return len(file.read(4)) == 4
         file.seek(struct.unpack(">I", head[:4])[0] + 4, os.SEEK_CUR)
     return False
 

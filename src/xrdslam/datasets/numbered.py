@@ -29,14 +29,14 @@ class NumberedParts(NamedTuple):
 def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     """Return the files whose whole name matches, by the number in the pattern's first group, in rising order."""
     found: dict[int, Path] = {}
-    for entry in os.scandir(folder):
-        match = pattern.fullmatch(entry.name)
+    for name in os.listdir(folder):
+        match = pattern.fullmatch(name)
         if match is None:
             continue
         number = int(match[1])
         if number in found:
-            raise DataError(f"{folder}: {found[number].name} and {entry.name} are the same frame; remove one of them")
-        found[number] = folder / entry.name
+            raise DataError(f"{folder}: {found[number].name} and {name} are the same frame; remove one of them")
+        found[number] = folder / name
     return dict(sorted(found.items()))
 
 

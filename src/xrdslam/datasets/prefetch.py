@@ -11,7 +11,9 @@ from xrdslam.core.frame import Frame
 __all__ = ["prefetch"]
 
 
-def prefetch(frames: Iterator[Frame], device: torch.device | str = "cpu", lookahead: int = 2) -> Generator[Frame, None, None]:
+def prefetch(
+    frames: Iterator[Frame], device: torch.device | str = "cpu", lookahead: int = 2
+) -> Generator[Frame, None, None]:
     """Yield the same frames in the same order, on `device`, at most `lookahead` of them read before they are asked for.
 
     What reading raises arrives here, at the frame where it happened, after those before it. Closing the iterator (or

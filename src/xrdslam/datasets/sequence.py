@@ -5,7 +5,7 @@ files before the first is processed, and reads them.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from xrdslam.core.frame import Frame
 from xrdslam.datasets.config import DatasetConfig
 from xrdslam.datasets.fit import ImageFit
 from xrdslam.datasets.images import probe_depth, probe_rgb, read_depth, read_rgb
-from xrdslam.datasets.prefetch import prefetch
 
 __all__ = ["Record", "RgbdSequence", "SourceCamera"]
 
@@ -114,10 +113,6 @@ class RgbdSequence(Dataset):
             depth=None if record.depth is None else self._read_fitted_depth(record.depth),
             T_world_camera_gt=None if pose is None else torch.from_numpy(pose.astype(np.float32)),
         )
-
-    def prefetch(self, device: torch.device | str = "cpu", lookahead: int = 2) -> Iterator[Frame]:
-        """Yield `frames()` on `device`, read ahead by one background thread."""
-        return prefetch(self.frames(), device, lookahead)
 
     def check(self) -> None:
         """Look at every file of the picked frames without decoding it; raise, or warn of what will be skipped."""
