@@ -51,6 +51,9 @@ class Dataset(torch.utils.data.Dataset[Frame], ABC):
     @abstractmethod
     def __getitem__(self, index: int) -> Frame: ...
 
+    def __iter__(self) -> Iterator[Frame]:
+        return self.frames()
+
     def check(self) -> None:
         """Raise a DataError for anything missing or damaged that can be found without decoding every image."""
         if len(self) == 0:

@@ -3,7 +3,6 @@
 import sys
 import time
 from types import TracebackType
-from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -28,7 +27,7 @@ class ProgressReport:
         self._counts = {"frames": 0, "keyframes": 0, "lost": 0}
         self._bar: Progress | None = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "ProgressReport":
         if self.shown and self.console.is_terminal:
             columns = (TextColumn("{task.description}"), BarColumn(None), MofNCompleteColumn(), TimeElapsedColumn())
             columns += (TimeRemainingColumn(), TextColumn("{task.fields[status]}"))  # type: ignore[assignment]

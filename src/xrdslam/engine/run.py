@@ -89,11 +89,11 @@ def _save(this: Run) -> None:
 
 def prepare(config: RunConfig) -> None:
     """Set threads and every source of random numbers."""
-    threads = config.threads or len(os.sched_getaffinity(0))
-    torch.set_num_threads(threads)
     import numba
 
+    threads = config.threads or len(os.sched_getaffinity(0))
     numba.set_num_threads(min(threads, int(numba.config.NUMBA_NUM_THREADS)))  # type: ignore[attr-defined]  # set late
+    torch.set_num_threads(threads)  # after numba, whose start sets the OpenMP pool that both share to all cores
     random.seed(config.seed)
     np.random.seed(config.seed)  # noqa: NPY002  # libraries that a plugin uses may draw from numpy's global stream
     torch.manual_seed(config.seed)
