@@ -1,0 +1,186 @@
+"""The gradient of compositing: each tile replays its list from the front and leaves one slot of sums per Gaussian.
+
+With w_i = alpha_i T_i and q_i = (f_i . g), g the pixel's cotangent and f_i = (r, g, b, z, 1):
+dL/dalpha_i = T_i q_i - (sum of w_j q_j behind i) / (1 - alpha_i). The sum behind is the pixel's total, known from the
+rendered image, less what has been passed: one scalar per pixel instead of a suffix per channel. A slot belongs to one
+Gaussian in one tile, so nothing is added by two threads and the result does not depend on their number.
+"""
+
+# Kernels take numpy arrays and scalars that numba types by itself:
+# mypy: disable-error-code="no-untyped-def, no-untyped-call"
+# ruff: noqa: ANN001, ANN201, ANN202
+
+import numpy as np
+from numba import prange
+
+from xrdslam.ops.simd import (
+    absolute,
+    any_true,
+    exp2,
+    fetch_add,
+    kernel,
+    lane_columns,
+    lane_rows,
+    load,
+    minimum,
+    parallel_kernel,
+    prefetch,
+    select,
+    splat,
+    store,
+    sum_lanes_of_16,
+    zeros,
+)
+from xrdslam.ops.splats import layout
+from xrdslam.ops.splats.forward import (
+    _AHEAD,
+    _ALPHA_MAX,
+    _LAST,
+    _ONE,
+    _POWER_MIN,
+    _TRANSMITTANCE_MIN,
+    _ZERO,
+)
+from xrdslam.ops.splats.layout import f32
+
+STATE = 7 * layout.LANES
+"""Floats of state per block: transmittance, total behind, cotangents of opacity, red, green, blue, depth."""
+
+
+@parallel_kernel
+def tile_gradients(
+    workers,
+    width,
+    height,
+    with_color,
+    records,
+    offsets,
+    entries,
+    stops,
+    next_tile,
+    state,
+    rgb,
+    depth,
+    opacity,
+    d_rgb,
+    d_depth,
+    d_opacity,
+    moments,
+):
+    """Fill the gradient slots of all Gaussians in all tiles; without `with_color` those of the colours stay zero."""
+    tiles = offsets.shape[0] - 1
+    tiles_x = (width + layout.TILE - 1) // layout.TILE
+    next_tile[0] = 0
+    for worker in prange(workers):
+        own = state[worker]
+        while True:
+            tile = fetch_add(next_tile, 0, 1)
+            if tile >= tiles:
+                break
+            left, top = tile % tiles_x * layout.TILE, tile // tiles_x * layout.TILE
+            _read(left, top, width, height, rgb, depth, opacity, d_rgb, d_depth, d_opacity, own)
+            start, stop, end = offsets[tile], stops[tile], offsets[tile + 1]
+            tile_x, tile_y = tile % tiles_x, tile // tiles_x
+            _replay(with_color, records, entries, start, stop, tile_x, tile_y, own, moments)
+            for e in range(stop, end):
+                store(moments, _slot(records, entries[e], tile_x, tile_y) * layout.RECORD, zeros())
+
+
+@kernel
+def _slot(records, i, tile_x, tile_y):
+    """Return the gradient slot of a Gaussian in a tile."""
+    bits = records.view(np.int32)
+    box = bits[i, layout.TILES]
+    left, right, top = box & 255, box >> 8 & 255, box >> 16 & 255
+    return np.int64(bits[i, layout.SLOT]) + (tile_y - top) * (right - left + 1) + (tile_x - left)
+
+
+@kernel
+def _read(left, top, width, height, rgb, depth, opacity, d_rgb, d_depth, d_opacity, state):
+    """Copy a tile of the cotangents in; the total behind is their product with the rendered image."""
+    if left + layout.TILE > width or top + layout.TILE > height:
+        state[:] = _ZERO
+    for y in range(min(layout.TILE, height - top)):
+        for x in range(min(layout.TILE, width - left)):
+            at = (y // 4 * layout.BLOCKS + x // 4) * STATE + y % 4 * 4 + x % 4
+            row, column = top + y, left + x
+            red, green, blue = d_rgb[row, column, 0], d_rgb[row, column, 1], d_rgb[row, column, 2]
+            z, silhouette = d_depth[row, column], d_opacity[row, column]
+            state[at] = _ONE
+            state[at + 16] = (
+                red * rgb[row, column, 0]
+                + green * rgb[row, column, 1]
+                + blue * rgb[row, column, 2]
+                + z * depth[row, column]
+                + silhouette * opacity[row, column]
+            )
+            state[at + 32] = silhouette
+            state[at + 48], state[at + 64], state[at + 80], state[at + 96] = red, green, blue, z
+
+
+@kernel
+def _replay(with_color, records, entries, start, stop, tile_x, tile_y, state, moments):
+    """Walk a tile's list as the forward did and write every entry's slot."""
+    bits = records.view(np.int32)
+    left, top = tile_x * layout.TILE, tile_y * layout.TILE
+    for e in range(start, stop):
+        prefetch(records, np.int64(entries[min(e + _AHEAD, stop - 1)]) * layout.RECORD)
+        i = entries[e]
+        slot = _slot(records, i, tile_x, tile_y) * layout.RECORD
+        px, py = bits[i, layout.PIXELS_X], bits[i, layout.PIXELS_Y]
+        x0, x1 = max((px & 65535) - left, 0), min((px >> 16) - left, _LAST)
+        y0, y1 = max((py & 65535) - top, 0), min((py >> 16) - top, _LAST)
+        if x0 > x1 or y0 > y1:
+            store(moments, slot, zeros())
+        else:
+            _accumulate(with_color, records[i], x0 >> 2, x1 >> 2, y0 >> 2, y1 >> 2, left, top, state, moments, slot)
+
+
+@kernel
+def _accumulate(with_color, record, column0, column1, row0, row1, left, top, state, moments, slot):
+    """Replay one Gaussian on the blocks of a tile and write its sums (`layout.M_*`)."""
+    u, v = record[layout.U] - f32(left), record[layout.V] - f32(top)
+    xx, xy, yy = record[layout.POWER_XX], record[layout.POWER_XY], record[layout.POWER_YY]
+    log2_opacity = record[layout.LOG2_OPACITY]
+    red, green, blue = splat(record[layout.RED]), splat(record[layout.GREEN]), splat(record[layout.BLUE])
+    z = splat(record[layout.DEPTH])
+    m_1 = m_x = m_y = m_xx = m_xy = m_yy = zeros()
+    m_red = m_green = m_blue = m_depth = zeros()
+    for row in range(row0, row1 + 1):
+        dy = lane_rows() + (f32(row * layout.BLOCK) - v)
+        linear, constant = dy * xy, dy * dy * yy + log2_opacity
+        for column in range(column0, column1 + 1):
+            base = (row * layout.BLOCKS + column) * STATE
+            dx = lane_columns() + (f32(column * layout.BLOCK) - u)
+            power = (dx * xx + linear) * dx + constant
+            T = load(state, base)
+            reached = power >= _POWER_MIN
+            if any_true(reached & (T > _ZERO)):
+                alpha = minimum(exp2(power), _ALPHA_MAX)
+                alpha = select(reached, alpha, zeros())
+                weight = alpha * T
+                after = T - weight
+                is_open = after >= _TRANSMITTANCE_MIN
+                weight = select(is_open, weight, zeros())
+                store(state, base, select(is_open, after, zeros() - absolute(T)))
+                d_red, d_green, d_blue = load(state, base + 48), load(state, base + 64), load(state, base + 80)
+                d_z = load(state, base + 96)
+                q = load(state, base + 32) + red * d_red + green * d_green + blue * d_blue + z * d_z
+                behind = load(state, base + 16) - weight * q
+                store(state, base + 16, behind)
+                g = weight * q - alpha * behind / (_ONE - alpha)
+                g = select(is_open & (alpha < _ALPHA_MAX), g, zeros())
+                g_x, g_y = g * dx, g * dy
+                m_1 += g
+                m_x += g_x
+                m_y += g_y
+                m_xx += g_x * dx
+                m_xy += g_x * dy
+                m_yy += g_y * dy
+                m_depth += weight * d_z
+                if with_color:
+                    m_red += weight * d_red
+                    m_green += weight * d_green
+                    m_blue += weight * d_blue
+    sums = sum_lanes_of_16((m_1, m_x, m_y, m_xx, m_xy, m_yy, m_red, m_green, m_blue, m_depth))
+    store(moments, slot, sums)

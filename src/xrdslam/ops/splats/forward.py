@@ -1,0 +1,163 @@
+"""Compositing: each tile's Gaussians, nearest first, onto its pixels; colour, depth and transmittance in one pass.
+
+The outer loop runs over Gaussians, the inner one over the 4x4 blocks under the footprint, 16 pixels at a time.
+"""
+
+# Kernels take numpy arrays and scalars that numba types by itself:
+# mypy: disable-error-code="no-untyped-def, no-untyped-call"
+# ruff: noqa: ANN001, ANN201, ANN202
+
+import math
+
+import numpy as np
+from numba import prange
+
+from xrdslam.ops.simd import (
+    absolute,
+    any_true,
+    exp2,
+    fetch_add,
+    kernel,
+    lane_columns,
+    lane_rows,
+    load,
+    minimum,
+    parallel_kernel,
+    prefetch,
+    select,
+    splat,
+    store,
+    zeros,
+)
+from xrdslam.ops.splats import layout
+from xrdslam.ops.splats.binning import sort_tile
+from xrdslam.ops.splats.layout import f32
+from xrdslam.ops.splats.types import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+
+_ALPHA_MAX, _TRANSMITTANCE_MIN, _POWER_MIN = f32(ALPHA_MAX), f32(TRANSMITTANCE_MIN), f32(math.log2(ALPHA_MIN))
+_ZERO, _ONE = f32(0), f32(1)
+_LAST = layout.TILE - 1
+_AHEAD = 6
+_OPEN_CHECK = 64
+STATE = 5 * layout.LANES
+"""Floats of state per block: transmittance, red, green, blue, depth. A full pixel has its transmittance negated."""
+
+
+@parallel_kernel
+def render_tiles(
+    workers,
+    width,
+    height,
+    records,
+    offsets,
+    is_sorted,
+    keys,
+    spare,
+    entries,
+    stops,
+    next_tile,
+    state,
+    histograms,
+    rgb,
+    depth,
+    opacity,
+):
+    """Sort (unless sorted already) and composite every tile; `stops` gets where in its list each tile was full."""
+    tiles = offsets.shape[0] - 1
+    tiles_x = (width + layout.TILE - 1) // layout.TILE
+    next_tile[0] = 0
+    for worker in prange(workers):
+        own = state[worker]
+        while True:
+            tile = fetch_add(next_tile, 0, 1)
+            if tile >= tiles:
+                break
+            start, stop = offsets[tile], offsets[tile + 1]
+            if not is_sorted:
+                sort_tile(start, stop, keys, spare, entries, histograms[worker])
+            left, top = tile % tiles_x * layout.TILE, tile // tiles_x * layout.TILE
+            _clear(left, top, width, height, own)
+            stops[tile] = _composite(records, entries, start, stop, left, top, own)
+            _write(left, top, width, height, own, rgb, depth, opacity)
+
+
+@kernel
+def _clear(left, top, width, height, state):
+    """Set every pixel of the tile to black and clear, those outside the image to full."""
+    for block in range(layout.BLOCKS * layout.BLOCKS):
+        base = block * STATE
+        x = lane_columns() + f32(left + block % layout.BLOCKS * layout.BLOCK)
+        y = lane_rows() + f32(top + block // layout.BLOCKS * layout.BLOCK)
+        inside = (x < f32(width)) & (y < f32(height))
+        store(state, base, select(inside, splat(_ONE), zeros()))
+        for channel in range(1, 5):
+            store(state, base + channel * layout.LANES, zeros())
+
+
+@kernel
+def _is_full(state):
+    """Say whether no pixel of the tile takes any more."""
+    for block in range(layout.BLOCKS * layout.BLOCKS):  # noqa: SIM110  # numba has no all()
+        if any_true(load(state, block * STATE) > _ZERO):
+            return False
+    return True
+
+
+@kernel
+def _composite(records, entries, start, stop, left, top, state):
+    """Blend a tile's list; returns the position where it was found full, or its end."""
+    bits = records.view(np.int32)
+    for e in range(start, stop):
+        if (e - start) % _OPEN_CHECK == _OPEN_CHECK - 1 and _is_full(state):
+            return e
+        prefetch(records, np.int64(entries[min(e + _AHEAD, stop - 1)]) * layout.RECORD)
+        i = entries[e]
+        px, py = bits[i, layout.PIXELS_X], bits[i, layout.PIXELS_Y]
+        x0, x1 = max((px & 65535) - left, 0), min((px >> 16) - left, _LAST)
+        y0, y1 = max((py & 65535) - top, 0), min((py >> 16) - top, _LAST)
+        if x0 <= x1 and y0 <= y1:  # lists that are used again hold Gaussians that are not here now
+            _blend(records[i], x0 >> 2, x1 >> 2, y0 >> 2, y1 >> 2, left, top, state)
+    return stop
+
+
+@kernel
+def _blend(record, column0, column1, row0, row1, left, top, state):
+    """Blend one Gaussian onto the blocks of a tile."""
+    u, v = record[layout.U] - f32(left), record[layout.V] - f32(top)
+    xx, xy, yy = record[layout.POWER_XX], record[layout.POWER_XY], record[layout.POWER_YY]
+    log2_opacity = record[layout.LOG2_OPACITY]
+    red, green, blue = splat(record[layout.RED]), splat(record[layout.GREEN]), splat(record[layout.BLUE])
+    z = splat(record[layout.DEPTH])
+    for row in range(row0, row1 + 1):
+        dy = lane_rows() + (f32(row * layout.BLOCK) - v)
+        linear, constant = dy * xy, dy * dy * yy + log2_opacity
+        for column in range(column0, column1 + 1):
+            base = (row * layout.BLOCKS + column) * STATE
+            dx = lane_columns() + (f32(column * layout.BLOCK) - u)
+            power = (dx * xx + linear) * dx + constant
+            T = load(state, base)
+            reached = power >= _POWER_MIN
+            if any_true(reached & (T > _ZERO)):
+                alpha = minimum(exp2(power), _ALPHA_MAX)
+                weight = select(reached, alpha * T, zeros())
+                after = T - weight
+                is_open = after >= _TRANSMITTANCE_MIN
+                weight = select(is_open, weight, zeros())
+                store(state, base, select(is_open, after, zeros() - absolute(T)))
+                store(state, base + 16, load(state, base + 16) + weight * red)
+                store(state, base + 32, load(state, base + 32) + weight * green)
+                store(state, base + 48, load(state, base + 48) + weight * blue)
+                store(state, base + 64, load(state, base + 64) + weight * z)
+
+
+@kernel
+def _write(left, top, width, height, state, rgb, depth, opacity):
+    """Copy a tile into the images."""
+    for y in range(min(layout.TILE, height - top)):
+        for x in range(min(layout.TILE, width - left)):
+            at = (y // 4 * layout.BLOCKS + x // 4) * STATE + y % 4 * 4 + x % 4
+            opacity[top + y, left + x] = _ONE - abs(state[at])
+            rgb[top + y, left + x, 0] = state[at + 16]
+            rgb[top + y, left + x, 1] = state[at + 32]
+            rgb[top + y, left + x, 2] = state[at + 48]
+            depth[top + y, left + x] = state[at + 64]
