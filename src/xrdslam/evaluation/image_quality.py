@@ -91,10 +91,17 @@ def _similarities(
 
 
 def _smooth(images: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h2 w2"]:
-    offset = torch.arange(WINDOW, dtype=images.dtype, device=images.device) - WINDOW // 2
-    weights = (-(offset**2) / (2 * SIGMA**2)).exp()
-    weights = weights / weights.sum()
-    n, c, h, w = images.shape
-    rows = functional.conv2d(images.reshape(n * c, 1, h, w), weights.reshape(1, 1, -1, 1))
-    smooth = functional.conv2d(rows, weights.reshape(1, 1, 1, -1))
-    return smooth.reshape(n, c, *smooth.shape[2:])
+    """Return Gaussian means of the windows that lie inside: eleven shifted sums an axis, several times faster than conv2d."""
+    offsets = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
+    weights = (-(offsets**2) / (2 * SIGMA**2)).exp()
+    for axis in (2, 3):
+        images = _weighted_sum(images, (weights / weights.sum()).tolist(), axis)
+    return images
+
+
+def _weighted_sum(images: Float[Tensor, "n c h w"], weights: list[float], axis: int) -> Float[Tensor, "n c h2 w2"]:
+    length = images.shape[axis] - len(weights) + 1
+    total = images.narrow(axis, 0, length) * weights[0]
+    for start, weight in enumerate(weights[1:], 1):
+        total.add_(images.narrow(axis, start, length), alpha=weight)
+    return total
