@@ -22,3 +22,4 @@ class XrdslamSearchPath(SearchPathPlugin):
         for package in conf_packages():
             if package != CONF_GROUP:
                 search_path.append(provider=package, path=f"pkg://{package}")
+        search_path.append(provider="xrdslam", path="xrdslam-scenes://")
