@@ -169,10 +169,10 @@ class Algorithm(ABC):
 
     def state_dict(self) -> dict[str, dict[str, Tensor]]:
         """Return everything that a resumed run needs, keyframe images excepted (the dataset has them)."""
-        poses = [keyframe.pose.matrix().detach() for keyframe in self.keyframes]
         keyframes = {
-            "indices": torch.tensor([keyframe.index for keyframe in self.keyframes]),
-            "poses": torch.stack(poses) if poses else torch.empty(0, 4, 4),
+            "indices": torch.tensor([keyframe.index for keyframe in self.keyframes], dtype=torch.int64),
+            "rotations": _stacked([keyframe.pose.rotation for keyframe in self.keyframes]),
+            "translations": _stacked([keyframe.pose.translation for keyframe in self.keyframes]),
         }
         return {
             "trajectory": self.trajectory.state_dict(),
@@ -189,8 +189,9 @@ class Algorithm(ABC):
         self.tracking.load_state_dict(state["tracking"])
         self.mapping.load_state_dict(state["mapping"])
         self.keyframes = list(keyframes)
-        for keyframe, pose in zip(self.keyframes, state["keyframes"]["poses"], strict=True):
-            keyframe.pose.set_(pose)
+        kept = state["keyframes"]
+        for keyframe, *pose in zip(self.keyframes, kept["rotations"], kept["translations"], strict=True):
+            keyframe.pose.load_state_dict({"rotation": pose[0], "translation": pose[1]})
 
     def _is_lost(self, frame: Frame) -> bool:
         return frame.index in self.trajectory and self.trajectory.lost(frame.index)
@@ -205,3 +206,8 @@ class Algorithm(ABC):
                 f"{self.model.batch_kind + ' batches' if model.supports('losses') else 'no losses'}; "
                 "choose a tracking method of the same family, or gicp"
             )
+
+
+def _stacked(parameters: list[torch.nn.Parameter]) -> Tensor:
+    """Return the parameters themselves, not the matrices made of them: a resumed run has the same bits."""
+    return torch.stack([p.detach() for p in parameters]) if parameters else torch.empty(0)

@@ -79,14 +79,15 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
     def __init__(self, config: IterativeMappingConfig, seed: int = 0) -> None:
         super().__init__(config, seed)
         self._optimiser: GroupedOptimiser | None = None
+        self._saved_moments: dict[str, Tensor] = {}
 
     def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
-        """Extend by the frame, choose the window, optimise, report the poses that moved."""
-        is_first = model.size == 0
-        added = model.extend(frame, frame.pose.matrix().detach())
+        """Choose the window, extend by the frame, optimise, report the poses that moved."""
         window = self.select(frame, keyframes)
         anchor = keyframes[0].index if keyframes else frame.index
-        problem = MappingProblem(model, window, is_first, anchor)
+        problem = MappingProblem(model, window, model.size == 0, anchor)
+        self._restore(problem)
+        added = model.extend(frame, frame.pose.matrix().detach())
         optimum = self.optimise(problem)
         moved = self.movable(problem)
         poses = {f.index: f.pose.matrix().detach() for f in moved}
@@ -120,9 +121,31 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
 
     def optimiser(self, problem: MappingProblem) -> GroupedOptimiser:
         """Build the optimiser: the map's anew or with its moments kept (`keep_optimiser`), the poses' always anew."""
-        if self._optimiser is None or problem.is_first or not self.config.keep_optimiser:
+        built = GroupedOptimiser(self.groups(problem))
+        if self._optimiser is not None and self.config.keep_optimiser and not problem.is_first:
+            built.take_moments(self._optimiser)
+        self._optimiser = built
+        return built.joined(GroupedOptimiser(self.pose_groups(problem)))
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return what a resumed run needs, kept moments among it."""
+        if self._optimiser is None or not self.config.keep_optimiser:
+            return super().state_dict()
+        return super().state_dict() | {f"optimiser.{k}": v for k, v in self._optimiser.state_dict().items()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state_dict` returned; the moments wait for the map that they belong to."""
+        super().load_state_dict(state)
+        self._optimiser = None
+        prefix = "optimiser."
+        self._saved_moments = {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
+
+    def _restore(self, problem: MappingProblem) -> None:
+        """Give saved moments back to the map's parameters, before the map grows."""
+        if self._saved_moments:
             self._optimiser = GroupedOptimiser(self.groups(problem))
-        return self._optimiser.joined(GroupedOptimiser(self.pose_groups(problem)))
+            self._optimiser.load_state_dict(self._saved_moments)
+            self._saved_moments = {}
 
     def batch(self, problem: MappingProblem) -> Batch:
         """Draw one window frame at random, or rays over the whole window, as the map takes them."""

@@ -1,5 +1,6 @@
 """General iterative optimisation as overridable steps: batch, losses, step, schedule, keep the best."""
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -94,6 +95,30 @@ class GroupedOptimiser:
                 return {k: v for k, v in optimiser.state[parameter].items() if isinstance(v, Tensor)}
         return {}
 
+    def take_moments(self, other: "GroupedOptimiser") -> None:
+        """Take over Adam's state of every parameter that both hold; parameters that were replaced start anew."""
+        for mine, theirs in itertools.product(self._optimisers, other._optimisers):
+            for parameter in mine.param_groups[0]["params"]:
+                if parameter in theirs.state:
+                    mine.state[parameter] = theirs.state[parameter]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return Adam's state of every parameter by its place, `<group>.<position>.<name>`, for checkpoints."""
+        return {
+            f"{index}.{position}.{name}": tensor
+            for index, optimiser in enumerate(self._optimisers)
+            for position, parameter in enumerate(optimiser.param_groups[0]["params"])
+            for name, tensor in optimiser.state.get(parameter, {}).items()
+        }
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state_dict` of an optimiser with the same groups returned."""
+        for key, tensor in state.items():
+            index, position, name = key.split(".")
+            optimiser = self._optimisers[int(index)]
+            parameter = optimiser.param_groups[0]["params"][int(position)]
+            optimiser.state[parameter][name] = tensor.clone()
+
     def reindex_(self, old: nn.Parameter, new: nn.Parameter, rows: Tensor) -> None:
         """Put `new` = `old[rows]` in the place of `old`; moments and gradient follow their rows, so no step is lost."""
         new.grad = None if old.grad is None else old.grad[rows]
@@ -170,6 +195,7 @@ class IterativeOptimisation(ABC, Generic[Problem]):
     def optimise(self, problem: Problem) -> Optimum:
         """Run the loop."""
         optimiser = self.optimiser(problem)
+        optimiser.zero_grad()  # an accumulation that an earlier call left unfinished is not this one's
         best_loss = torch.tensor(torch.inf)
         best: tuple[Tensor, ...] = ()
         done = 0
