@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
 from xrdslam.evaluation import EvaluationError, depth_l1_cm, ms_ssim, psnr, ssim
 
 
@@ -82,7 +83,7 @@ def test_ssim_is_what_scikit_image_says(size: tuple[int, int], seed: int) -> Non
 
 def test_ssim_in_float32_stays_close() -> None:
     x, y = pair(60, 80)
-    # 22 eps32 / 9e-4 = 3e-3 is the bound for one flat window; errors are independent over 3500 windows, so 1e-4 is ample
+    # 22 eps32 / 9e-4 = 3e-3 is the bound for one flat window; errors are independent over 3500 windows: 1e-4 is ample
     assert ssim(x.float(), y.float()).item() == pytest.approx(ssim(x, y).item(), abs=1e-4)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from evo.core import metrics, trajectory
 from scipy.spatial.transform import Rotation
+
 from xrdslam.evaluation import EvaluationError, absolute_trajectory_error, relative_pose_error
 
 

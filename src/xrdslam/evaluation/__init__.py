@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from xrdslam.evaluation.alignment import Alignment, umeyama
+    from xrdslam.evaluation.comparison import side_by_side
     from xrdslam.evaluation.config import EvaluationConfig
     from xrdslam.evaluation.errors import EvaluationError
     from xrdslam.evaluation.eval_metrics import EvalMetrics, Trajectories
@@ -12,7 +13,6 @@ if TYPE_CHECKING:
     from xrdslam.evaluation.metrics import MetricGroup, Metrics, assemble, write_metrics
     from xrdslam.evaluation.plots import trajectory_figure, write_figure
     from xrdslam.evaluation.rendering import RenderingMetrics
-    from xrdslam.evaluation.side_by_side import side_by_side
     from xrdslam.evaluation.trajectory import (
         RelativePoseError,
         TrajectoryError,
@@ -54,7 +54,7 @@ _MODULES = {
     "metrics": ("MetricGroup", "Metrics", "assemble", "write_metrics"),
     "plots": ("trajectory_figure", "write_figure"),
     "rendering": ("RenderingMetrics",),
-    "side_by_side": ("side_by_side",),
+    "comparison": ("side_by_side",),
     "trajectory": ("RelativePoseError", "TrajectoryError", "absolute_trajectory_error", "relative_pose_error"),
 }
 

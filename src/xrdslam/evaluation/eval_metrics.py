@@ -3,7 +3,7 @@
 import csv
 import dataclasses
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,13 +15,22 @@ from torch import Tensor
 
 from xrdslam.core.errors import XrdslamError
 from xrdslam.core.model import Rendering
+from xrdslam.evaluation.comparison import side_by_side
 from xrdslam.evaluation.config import EvaluationConfig
 from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.metrics import MetricGroup, Metrics, assemble, write_metrics
 from xrdslam.evaluation.plots import trajectory_figure, write_figure
-from xrdslam.evaluation.rendering import MEASURES, EvaluatedFrame, FrameRow, Render, RenderingMetrics, rendered_frames
-from xrdslam.evaluation.side_by_side import side_by_side
+from xrdslam.evaluation.rendering import (
+    MEASURES,
+    EvaluatedFrame,
+    FrameRow,
+    Frames,
+    Render,
+    RenderingMetrics,
+    rendered_frames,
+)
 from xrdslam.evaluation.trajectory import (
+    AnyPoses,
     Poses,
     TrajectoryError,
     absolute_trajectory_error,
@@ -42,12 +51,12 @@ ATE_KEYS = tuple(f"ate_{name}" for name in ATE_STATISTICS)
 class Trajectories:
     """The poses of a run, T_world_camera, row by row of the same frames; a missing pose is a row of NaN."""
 
-    online: Poses
+    online: AnyPoses
     """As first reported."""
-    final: Poses
+    final: AnyPoses
     """As believed after the last frame."""
-    ground_truth: Poses | None = None
-    is_lost: Bool[NDArray[np.bool_], " n"] | None = None
+    ground_truth: AnyPoses | None = None
+    is_lost: Bool[NDArray[np.bool_], " _"] | None = None
     """Frames that kept a predicted pose because tracking failed."""
     indices: Sequence[int] | None = None
     """The frame index of each row; None: row i is frame i."""
@@ -86,7 +95,7 @@ class EvalMetrics:
         self,
         trajectories: Trajectories,
         render: Render | None = None,
-        frames: Iterable[EvaluatedFrame] = (),
+        frames: Frames = (),
         profile: Mapping[str, float] | None = None,
         profile_protocol: Mapping[str, str] | None = None,
         run_dir: Path | None = None,
@@ -141,7 +150,7 @@ class EvalMetrics:
         group.protocol |= {"rpe_delta_frames": rpe.delta_frames, "rpe_pairs": rpe.pairs, "rpe_scale": rpe.scale}
 
     def _rendering_group(
-        self, render: Render, frames: Iterable[EvaluatedFrame], trajectories: Trajectories, run_dir: Path | None
+        self, render: Render, frames: Frames, trajectories: Trajectories, run_dir: Path | None
     ) -> MetricGroup:
         measure = RenderingMetrics(self.config.every, self.config.mask)
         poses = dict(zip(trajectories.frame_indices, torch.tensor(trajectories.final), strict=True))

@@ -66,7 +66,8 @@ def trajectory_figure(
     _draw_path(figure, top, centres, truth, axes_shown, colours, "frame" if error is None else "error [cm]")
     _mark_lost(top, centres[:, axes_shown], lost)
     top.set_title(_title(title, error, centres, int(lost.sum())), loc="left", fontsize=11, color=INK, pad=26)
-    top.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=3, frameon=False, fontsize=9)
+    if top.get_legend_handles_labels()[0]:
+        top.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=3, frameon=False, fontsize=9)
     return figure
 
 

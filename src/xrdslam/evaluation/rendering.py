@@ -6,7 +6,7 @@ The renderer is a function of a camera and a pose: it has no way to see the meas
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Float64
@@ -19,7 +19,7 @@ from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.image_quality import depth_l1_cm, ms_ssim, psnr, ssim
 from xrdslam.evaluation.metrics import JsonValue, MetricGroup
 
-__all__ = ["MEASURES", "EvaluatedFrame", "FrameRow", "Render", "RenderingMetrics", "rendered_frames"]
+__all__ = ["MEASURES", "EvaluatedFrame", "FrameRow", "Frames", "Render", "RenderingMetrics", "rendered_frames"]
 
 Render = Callable[[Camera, Tensor], Rendering]
 Image = Float64[Tensor, "h w 3"]
@@ -54,6 +54,9 @@ class EvaluatedFrame(Protocol):
         """Measured depth [m], 0 = none."""
 
 
+Frames = Iterable[EvaluatedFrame] | Dataset[Any]
+
+
 @dataclass(frozen=True)
 class FrameRow:
     """The numbers of one frame. None: not defined (`RenderingMetrics.reasons` says why); NaN: a broken rendering."""
@@ -66,7 +69,7 @@ class FrameRow:
 
 
 def rendered_frames(
-    render: Render, frames: Iterable[EvaluatedFrame], poses: Mapping[int, Tensor], every: int
+    render: Render, frames: Frames, poses: Mapping[int, Tensor], every: int
 ) -> Iterator[tuple[EvaluatedFrame, Rendering]]:
     """Yield every `every`-th frame that has a finite pose (`poses`: T_world_camera by frame index) with its rendering.
 
@@ -78,7 +81,7 @@ def rendered_frames(
             yield frame, render(frame.camera, poses[frame.index].to(frame.rgb))
 
 
-def _only(frames: Iterable[EvaluatedFrame], indices: list[int]) -> Iterator[EvaluatedFrame]:
+def _only(frames: Frames, indices: list[int]) -> Iterator[EvaluatedFrame]:
     if isinstance(frames, Dataset):
         yield from (frames[index] for index in indices)
     else:

@@ -16,6 +16,7 @@ from xrdslam.evaluation.errors import EvaluationError
 
 __all__ = [
     "AlignmentKind",
+    "AnyPoses",
     "Poses",
     "RelativePoseError",
     "TrajectoryError",
@@ -26,7 +27,7 @@ __all__ = [
 
 AlignmentKind = Literal["se3", "sim3", "none"]
 Poses = Float64[NDArray[np.float64], "n 4 4"]
-OtherPoses = Float64[NDArray[np.float64], "m 4 4"]  # a length of their own, so that a mismatch is refused in words
+AnyPoses = Float64[NDArray[np.float64], "_ 4 4"]  # of any length: a mismatch is refused in words
 Errors = Float64[NDArray[np.float64], " n"]
 
 
@@ -66,7 +67,7 @@ def is_finite(poses: Poses) -> Bool[NDArray[np.bool_], " n"]:
 
 
 def absolute_trajectory_error(
-    estimate: Poses, ground_truth: OtherPoses, alignment: AlignmentKind = "se3"
+    estimate: Poses, ground_truth: AnyPoses, alignment: AlignmentKind = "se3"
 ) -> TrajectoryError:
     """Return the ATE of Sturm et al., IROS 2012: e_i = |truth_i - A estimate_i| of centres, A the best alignment."""
     has_both = _matched(estimate, ground_truth)
@@ -98,7 +99,7 @@ def absolute_trajectory_error(
 
 
 def relative_pose_error(
-    estimate: Poses, ground_truth: OtherPoses, delta_frames: int = 1, scale: float = 1.0
+    estimate: Poses, ground_truth: AnyPoses, delta_frames: int = 1, scale: float = 1.0
 ) -> RelativePoseError:
     """Return the RPE: E_i = (Q_i^-1 Q_{i+d})^-1 (P_i^-1 P_{i+d}) of truth Q and estimate P (Sturm et al., 2012, eq. 2).
 
@@ -128,7 +129,7 @@ def relative_pose_error(
     )
 
 
-def _matched(estimate: Poses, ground_truth: OtherPoses) -> NDArray[np.bool_]:
+def _matched(estimate: Poses, ground_truth: AnyPoses) -> NDArray[np.bool_]:
     if estimate.shape != ground_truth.shape or estimate.shape[1:] != (4, 4):
         raise EvaluationError(
             f"trajectories must be (N, 4, 4) arrays of the same frames, found {estimate.shape} estimated and "
@@ -137,7 +138,7 @@ def _matched(estimate: Poses, ground_truth: OtherPoses) -> NDArray[np.bool_]:
     return is_finite(estimate) & is_finite(ground_truth)
 
 
-def _motions(T_world_camera: Poses, starts: NDArray[np.intp], delta: int) -> OtherPoses:
+def _motions(T_world_camera: Poses, starts: NDArray[np.intp], delta: int) -> AnyPoses:
     return np.asarray(_inverse(T_world_camera[starts]) @ T_world_camera[starts + delta])
 
 
