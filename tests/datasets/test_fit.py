@@ -25,8 +25,8 @@ def test_nothing_asked_changes_nothing() -> None:
 
 def test_shrinking_colour_takes_the_mean_over_the_area() -> None:
     image = np.random.default_rng(0).random((18, 24, 3), dtype=np.float32)
-    blocks = image.reshape(9, 2, 12, 2, 3).mean((1, 3))
-    np.testing.assert_allclose(ImageFit(CAMERA, (12, 9)).rgb(image), blocks, atol=2e-7)  # four summands' rounding
+    blocks = image.reshape(6, 3, 8, 3, 3).mean((1, 3))
+    np.testing.assert_allclose(ImageFit(CAMERA, (8, 6)).rgb(image), blocks, atol=5e-7)  # nine summands' rounding
 
 
 @pytest.mark.parametrize("size", [(12, 9), (8, 6), (36, 45), (24, 36)])
@@ -79,3 +79,14 @@ def test_undistortion_looks_where_the_lens_put_the_ray() -> None:
     expected = x * (1 + k1 * (x * x + y * y)) * 20 + 11.5  # u = fx x (1 + k1 r^2) + cx
     np.testing.assert_allclose(fit.rgb(ramps(24, 18))[6:12, 8:16, 0] * 64, expected, atol=1 / 32)  # maps of 5 bits
     assert np.isin(fit.depth(ramps(24, 18)[..., 0]), ramps(24, 18)[..., 0]).all()
+
+
+def test_depth_of_another_size_goes_through_the_same_lens() -> None:
+    distorted = Camera(20.0, 20.0, 11.5, 8.5, 24, 18, (0.2, 0.0, 0.0, 0.0))
+    same, double = ImageFit(distorted), ImageFit(distorted, size=(24, 18), depth_size=(48, 36))
+    # A ramp in units of colour's columns, sampled twice as densely: half-pixel rule, columns -1/4, 1/4, 3/4, ...
+    fine = np.broadcast_to(((np.arange(48, dtype=np.float32) + 0.5) / 2 - 0.5), (36, 48)).copy()
+    coarse = np.broadcast_to(np.arange(24, dtype=np.float32), (18, 24)).copy()
+    inner = np.s_[4:14, 4:20]
+    # Each is off by at most half its pixel in the map, the finer by half of one more in the resizing.
+    assert np.abs(double.depth(fine) - same.depth(coarse))[inner].max() <= 0.5 + 0.25 + 0.25

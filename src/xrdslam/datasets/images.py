@@ -88,7 +88,7 @@ def probe_depth(path: Path) -> ImageHeader:
 def read_rgb(path: Path) -> Float32[np.ndarray, "h w 3"]:
     """Read a colour image, red first, in [0, 1]."""
     header = probe_rgb(path)
-    bgr: UInt8[np.ndarray, "h w 3"] = _decode(path, header, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    bgr: UInt8[np.ndarray, "h w 3"] = _decode(path, header.kind, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     return np.asarray(cv2.LUT(rgb, UNIT_LEVELS), dtype=np.float32)
 
@@ -99,21 +99,21 @@ def read_depth(path: Path, scale: float, invalid: Sequence[int] = ()) -> Float32
     Level 0 is never a measurement; `invalid` names further levels that mean the same in a family (65535 in 7-Scenes).
     """
     header = probe_depth(path)
-    levels: UInt16[np.ndarray, "h w"] = _decode(path, header, cv2.IMREAD_UNCHANGED)
+    levels: UInt16[np.ndarray, "h w"] = _decode(path, header.kind, cv2.IMREAD_UNCHANGED)
     for level in invalid:
         levels[levels == level] = 0
     return np.asarray(np.divide(levels, scale, dtype=np.float32))
 
 
-def _decode(path: Path, header: ImageHeader, flags: int) -> np.ndarray:
-    """Decode, and hold the decoder to what the header declared."""
+def _decode(path: Path, kind: str, flags: int) -> np.ndarray:
+    """Decode with OpenCV's flags."""
     try:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise _unreadable(path, error) from error
     image = cv2.imdecode(data, flags)
-    if image is None or image.shape[1::-1] != header.size:
-        raise DataError(f"{path}: damaged {header.kind}, {data.size} bytes that do not decode; {COPY_AGAIN}")
+    if image is None:
+        raise DataError(f"{path}: damaged {kind}, {data.size} bytes that do not decode; {COPY_AGAIN}")
     return np.asarray(image)
 
 

@@ -27,7 +27,7 @@ class NumberedParts(NamedTuple):
 
 
 def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
-    """Return the files whose whole name matches, by the number in the pattern's first group, in rising order."""
+    """Return the files whose whole name matches, by the number in the pattern's first group."""
     found: dict[int, Path] = {}
     for name in os.listdir(folder):
         match = pattern.fullmatch(name)
@@ -37,7 +37,7 @@ def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
         if number in found:
             raise DataError(f"{folder}: {found[number].name} and {name} are the same frame; remove one of them")
         found[number] = folder / name
-    return dict(sorted(found.items()))
+    return found
 
 
 def numbered_records(folder: Path, parts: NumberedParts, frames_per_second: float) -> list[Record]:
