@@ -16,7 +16,7 @@ from xrdslam.core.config import IterativeTrackingConfig, TrackingConfig
 from xrdslam.core.dataset import Modality
 from xrdslam.core.frame import Frame
 from xrdslam.core.model import Model
-from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup
+from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup, exponential_decay
 from xrdslam.core.pose import OptimizablePose, RotationKind
 from xrdslam.core.sampling import sample_rays
 from xrdslam.core.trajectory import Trajectory
@@ -140,7 +140,8 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
 
     def groups(self, problem: TrackingProblem) -> list[ParameterGroup]:
         rates = problem.pose.parameter_groups(self.config.lr_rotation, self.config.lr_translation)
-        return [ParameterGroup(**group) for group in rates]
+        decay = exponential_decay(self.config.lr_decay, self.config.iterations - 1)
+        return [ParameterGroup(**group, schedule=decay) for group in rates]
 
     def candidate(self, problem: TrackingProblem) -> tuple[Tensor, ...]:
         return problem.pose.rotation, problem.pose.translation
