@@ -17,6 +17,7 @@ Numba's on-disk cache looks at the file of the *calling* kernel only: after an e
 # mypy: disable-error-code="no-untyped-call, untyped-decorator, misc"
 # ruff: noqa: ANN401
 
+import inspect
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -64,12 +65,12 @@ _OPTIONS: dict[str, Any] = {
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function for one thread, cached on disk; may contract and reassociate, keeps NaN and infinity."""
-    return numba.njit(**_OPTIONS)(function)
+    return numba.njit(**_OPTIONS)(inspect.unwrap(function))  # without the shape checks of a test run
 
 
 def parallel_kernel(function: Callable[..., Any]) -> Any:
     """Compile a function whose `numba.prange` loops run on numba's threads; otherwise as `kernel`."""
-    return numba.njit(parallel=True, **_OPTIONS)(function)
+    return numba.njit(parallel=True, **_OPTIONS)(inspect.unwrap(function))
 
 
 def _intrinsic(function: Callable[..., Any]) -> Any:

@@ -1,6 +1,6 @@
 """The CPU renderer: the numba kernels in order, as one differentiable torch function."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -116,7 +116,7 @@ def _threads() -> Iterator[int]:
         numba.set_num_threads(before)
 
 
-def _map(tensors: list[Tensor]) -> _Map:
+def _map(tensors: Sequence[Tensor]) -> _Map:
     means, log_scales, logits, colors, pose, quats = (t.detach().contiguous().numpy() for t in tensors)
     return _Map(means, log_scales, logits, colors, quats, pose)
 
@@ -135,7 +135,7 @@ def _view(pose: np.ndarray, settings: _Settings) -> np.ndarray:
 
 
 def _draw(
-    gaussians: _Map, tensors: list[Tensor], settings: _Settings, workers: int, images: tuple[np.ndarray, ...]
+    gaussians: _Map, tensors: Sequence[Tensor], settings: _Settings, workers: int, images: tuple[np.ndarray, ...]
 ) -> _Drawn:
     """Project, list, composite."""
     scratch = Scratch()
@@ -168,7 +168,7 @@ def _draw(
 
 
 def _project_fresh(
-    gaussians: _Map, tensors: list[Tensor], settings: _Settings, view: np.ndarray, chunk: int, records: np.ndarray
+    gaussians: _Map, tensors: Sequence[Tensor], settings: _Settings, view: np.ndarray, chunk: int, records: np.ndarray
 ) -> BuiltLists:
     """Find what can be seen, project it, and write the lists of all tiles, not yet sorted."""
     camera, scratch = settings.camera, Scratch()
@@ -195,7 +195,7 @@ def _project_fresh(
 
 
 def _project_again(
-    gaussians: _Map, tensors: list[Tensor], settings: _Settings, view: np.ndarray, chunk: int, records: np.ndarray
+    gaussians: _Map, tensors: Sequence[Tensor], settings: _Settings, view: np.ndarray, chunk: int, records: np.ndarray
 ) -> BuiltLists | None:
     """Project what the caller's lists hold, if they still hold all that can be seen."""
     if settings.lists is None:
@@ -211,13 +211,13 @@ def _project_again(
     return None if broken.any() else lists
 
 
-def _key(tensors: list[Tensor], settings: _Settings) -> tuple[object, ...]:
+def _key(tensors: Sequence[Tensor], settings: _Settings) -> tuple[object, ...]:
     means, log_scales, logits, _, _, quats = tensors
     return identity(settings.camera, (settings.near, settings.lowpass), means, log_scales, logits, quats)
 
 
 def _moments(
-    drawn: _Drawn, camera: PinholeLike, workers: int, with_color: bool, images: list[np.ndarray]
+    drawn: _Drawn, camera: PinholeLike, workers: int, with_color: bool, images: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Return the gradient slots of all Gaussians in all tiles."""
     lists = drawn.lists
@@ -231,7 +231,7 @@ def _moments(
 
 
 def _chain(
-    drawn: _Drawn, gaussians: _Map, tensors: tuple[Tensor, ...], pose_only: bool, moments: np.ndarray
+    drawn: _Drawn, gaussians: _Map, tensors: Sequence[Tensor], pose_only: bool, moments: np.ndarray
 ) -> tuple[list[Tensor], Tensor]:
     """Return the gradients of the map's five tensors (empty ones with `pose_only`) and of T_camera_world."""
     lists, g = drawn.lists, gaussians

@@ -44,8 +44,6 @@ def render_torch(
     boxes = _pixel_boxes(features.detach(), camera)
     for band, top, bottom in _bands(boxes, camera):
         flat, pairs = _pairs(features.detach(), boxes, band, top, bottom, camera.width)
-        if flat.numel() == 0:
-            continue
         if features.requires_grad and bottom - top < camera.height:
             values = checkpoint(_composite, features, flat, pairs, camera.width, use_reentrant=False)
         else:

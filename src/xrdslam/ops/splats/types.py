@@ -1,7 +1,7 @@
 """What a splat renderer takes and gives, and the thresholds that twin and kernel share."""
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -20,6 +20,7 @@ FOOTPRINT_MAX_SQ = 2 * math.log(255)
 """Squared Mahalanobis radius at which alpha reaches `ALPHA_MIN` when the opacity is 1: no footprint is larger."""
 
 
+@runtime_checkable
 class PinholeLike(Protocol):
     """Anything with a pinhole camera's numbers, `xrdslam.core.camera.Camera` for one."""
 
