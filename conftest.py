@@ -15,7 +15,7 @@ import torch
 
 @pytest.fixture(autouse=True)
 def _one_thread_and_a_seed() -> Iterator[None]:
-    """Run a test on one thread, for tests are small and run side by side, and with the same random numbers each time."""
+    """Run a test on one thread, since tests are small and run side by side, and from one state of random numbers."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     random.seed(0)
@@ -23,4 +23,3 @@ def _one_thread_and_a_seed() -> Iterator[None]:
     torch.manual_seed(0)
     yield
     torch.set_num_threads(before)
-

@@ -9,6 +9,7 @@ from hydra import compose, initialize_config_module
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import DictConfig
+
 from xrdslam.command_line.compose import check_preset, run_config
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import ConfigError

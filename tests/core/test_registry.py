@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from xrdslam.core.errors import PluginError, UnknownNameError
 from xrdslam.core.hookspecs import REGISTRATION_HOOKS
 from xrdslam.core.records import AlgorithmInfo, TrackingMethodInfo
@@ -46,9 +47,7 @@ def test_a_record_knows_its_distribution_and_version(install: Install) -> None:
     assert Registry.discover().algorithm("other").distribution == "other-slam 1.2"
 
 
-def test_a_broken_plugin_costs_one_warning_and_nothing_else(
-    install: Install, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_broken_plugin_costs_one_warning_and_nothing_else(install: Install, caplog: pytest.LogCaptureFixture) -> None:
     install("broken-slam", "import a_module_that_is_not_there", version="3.4", point="broken")
     install("other-slam", GOOD.format(name="other"))
     with caplog.at_level(logging.WARNING):

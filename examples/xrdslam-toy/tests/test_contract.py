@@ -1,10 +1,11 @@
 """The contracts that every method and every map keep: all that a plugin author has to write."""
 
+from xrdslam_toy.model import PointMap
+
 from xrdslam.core.algorithm import Scene
 from xrdslam.core.frame import Frame
 from xrdslam.core.model import Model
 from xrdslam.testing import AlgorithmContract, ModelContract
-from xrdslam_toy.model import PointMap
 
 
 class TestToy(AlgorithmContract):

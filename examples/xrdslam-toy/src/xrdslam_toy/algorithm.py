@@ -2,7 +2,6 @@
 
 from xrdslam.core.algorithm import Algorithm, Scene
 from xrdslam.core.frame import Frame
-
 from xrdslam_toy.config import ToyConfig
 from xrdslam_toy.model import PointMap
 

@@ -3,6 +3,7 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
 from xrdslam.core.camera import Camera
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3

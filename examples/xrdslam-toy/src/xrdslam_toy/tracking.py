@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
+
 from xrdslam.core.camera import Camera
 from xrdslam.core.config import TrackingConfig
 from xrdslam.core.frame import Frame
@@ -12,7 +13,6 @@ from xrdslam.core.geometry import se3, so3
 from xrdslam.core.model import Model
 from xrdslam.core.tracking import TrackingMethod, TrackingResult
 from xrdslam.core.trajectory import Trajectory
-
 from xrdslam_toy.config import ToyTrackingConfig
 
 __all__ = ["ToyTracking"]
