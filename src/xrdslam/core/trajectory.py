@@ -1,5 +1,6 @@
 """What is believed about where the camera was."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -76,12 +77,14 @@ class Trajectory:
         entry = self._entries[index]
         self._hang(index, entry.anchor if anchor is None else anchor, _exact(T_world_camera))
 
+    def update_all(self, poses: Mapping[int, Tensor]) -> None:
+        """Say where several frames are now believed, in any order: what others hang on is moved first."""
+        for index in sorted(poses, key=lambda index: sum(1 for _ in self._chain(index))):
+            self.update(index, poses[index])
+
     def pose(self, index: int) -> Float64[Tensor, "4 4"]:
         """Return the current belief."""
-        entry = self._entries[index]
-        if entry.anchor == index:
-            return entry.T_anchor_frame
-        return self.pose(entry.anchor) @ entry.T_anchor_frame
+        return self._resolve(index, {}).clone()
 
     def online(self) -> Float64[Tensor, "n 4 4"]:
         """Return the poses as they were first reported."""
@@ -89,12 +92,35 @@ class Trajectory:
 
     def current(self) -> Float64[Tensor, "n 4 4"]:
         """Return the poses as they are believed now; after the last frame, the final trajectory."""
-        return _stack([self.pose(index) for index in self._entries])
+        known: dict[int, Tensor] = {}
+        return _stack([self._resolve(index, known) for index in self._entries])
+
+    def _resolve(self, index: int, known: dict[int, Tensor]) -> Tensor:
+        """Return a pose by way of its anchors, each worked out once; a chain may be as long as the sequence."""
+        chain = []
+        for link in self._chain(index):
+            chain.append(link)
+            if link in known:
+                break
+        for link in reversed(chain):
+            entry = self._entries[link]
+            if link not in known:
+                is_root = entry.anchor == link
+                known[link] = entry.T_anchor_frame if is_root else known[entry.anchor] @ entry.T_anchor_frame
+        return known[index]
+
+    def _chain(self, index: int) -> Iterator[int]:
+        """Yield a frame, what it hangs on, what that hangs on, up to one that stands on its own."""
+        yield index
+        while (anchor := self._entries[index].anchor) != index:
+            yield (index := anchor)
 
     def _hang(self, index: int, anchor: int, T_world_camera: Tensor) -> None:
+        if anchor != index and index in self._chain(anchor):
+            raise ValueError(f"frame {index} cannot hang on frame {anchor}, which hangs on it")
         entry = self._entries[index]
-        entry.anchor = anchor
         entry.T_anchor_frame = T_world_camera if anchor == index else se3.inverse(self.pose(anchor)) @ T_world_camera
+        entry.anchor = anchor
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return everything as tensors, for checkpoints."""
