@@ -14,6 +14,7 @@ from xrdslam.core.camera import Camera
 from xrdslam.core.config import AlgorithmConfig
 from xrdslam.core.dataset import Dataset
 from xrdslam.core.frame import Frame
+from xrdslam.core.mapping import MappingResult
 from xrdslam.core.model import Model, Rendering
 from xrdslam.core.optimisation import ParameterGroup
 from xrdslam.core.tracking import TrackingResult
@@ -84,8 +85,8 @@ class CannotStandDamage(ToyAlgorithm):
 
 
 class MapsDamage(ToyAlgorithm):
-    def is_mapped(self, frame: Frame) -> bool:
-        return True
+    def map(self, frame: Frame) -> MappingResult:
+        return self.mapping.map(frame, self.model, self.keyframes)
 
 
 class NeedsNothing(ToyAlgorithm):

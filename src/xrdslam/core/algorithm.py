@@ -70,8 +70,7 @@ class Algorithm(ABC):
 
     def check(self, scene: Scene) -> None:
         """Refuse data or combinations that cannot work, before the first frame."""
-        needs = self.needs | self.tracking.needs | (self.mapping.needs if self.mapping.changes_map else frozenset())
-        missing = sorted(needs - scene.modalities)
+        missing = sorted(self._needs() - scene.modalities)
         if missing:
             raise DataError(
                 f"{scene.name} has {', '.join(sorted(scene.modalities))}, but algo={self.config.name} with "
@@ -88,6 +87,12 @@ class Algorithm(ABC):
 
     def start(self, scene: Scene, frame: Frame) -> TrackingResult:
         """Set the world by the first frame and build the empty map."""
+        fault = frame.fault(self._needs())
+        if fault:
+            raise DataError(
+                f"{scene.name}: frame {frame.index} cannot be the first: {fault}; "
+                "begin later with dataset.frames=[start,stop,stride]"
+            )
         pose = self.first_pose(frame)
         frame.pose.set_(pose)
         self.model = self.build_model(scene, frame).to(self.device)
@@ -112,10 +117,13 @@ class Algorithm(ABC):
         return identity
 
     def track(self, frame: Frame) -> TrackingResult:
-        """Predict, track, record. A lost frame keeps the prediction and is marked."""
+        """Predict, track, record. A lost frame, or one that shows nothing, keeps the prediction and is marked."""
         predicted = self.predict(frame)
         frame.pose.set_(predicted)
-        result = self.tracking.track(frame, self.model, self.trajectory)
+        if fault := frame.fault(self.tracking.needs):
+            result = TrackingResult(predicted, is_lost=True, reason=fault)
+        else:
+            result = self.tracking.track(frame, self.model, self.trajectory)
         if not result.is_lost and not bool(torch.isfinite(result.T_world_camera).all()):
             result = result._replace(is_lost=True, reason="the pose found is not finite")
         if result.is_lost:
@@ -134,10 +142,12 @@ class Algorithm(ABC):
     def map(self, frame: Frame) -> MappingResult | None:
         """Map a frame where it is due; write back the poses that moved; add it to the keyframes where it is one."""
         result = None
-        if self.is_mapped(frame):
+        is_sound = frame.fault(self.mapping.needs if self.mapping.changes_map else ()) is None
+        if is_sound and self.is_mapped(frame):
             result = self.mapping.map(frame, self.model, self.keyframes)
             self.accept(result.poses)
-        if self.is_keyframe(frame):
+            self._mend_poses([*self.keyframes, frame], result.poses)
+        if is_sound and self.is_keyframe(frame):
             self.trajectory.make_keyframe(frame.index)
             self.keyframes.append(frame)
         return result
@@ -156,11 +166,10 @@ class Algorithm(ABC):
 
     def accept(self, poses: Mapping[int, Tensor]) -> None:
         """Write poses that a method moved into the trajectory; a pose that is not finite is refused and said."""
-        for index, T_world_camera in poses.items():
-            if bool(torch.isfinite(T_world_camera).all()):
-                self.trajectory.update(index, T_world_camera)
-            else:
-                log.warning("frame %d was moved to a pose that is not finite; the earlier pose is kept", index)
+        finite = {index: pose for index, pose in poses.items() if bool(torch.isfinite(pose).all())}
+        for index in poses.keys() - finite.keys():
+            log.warning("frame %d was moved to a pose that is not finite; the earlier pose is kept", index)
+        self.trajectory.update_all(finite)
 
     def finish(self) -> None:
         """Refine after the last frame."""
@@ -192,6 +201,15 @@ class Algorithm(ABC):
         kept = state["keyframes"]
         for keyframe, *pose in zip(self.keyframes, kept["rotations"], kept["translations"], strict=True):
             keyframe.pose.load_state_dict({"rotation": pose[0], "translation": pose[1]})
+
+    def _needs(self) -> frozenset[Modality]:
+        return self.needs | self.tracking.needs | (self.mapping.needs if self.mapping.changes_map else frozenset())
+
+    def _mend_poses(self, frames: Iterable[Frame], moved: Mapping[int, Tensor]) -> None:
+        """Give frames whose new pose was refused the believed one back: the next mapping step starts from it."""
+        for frame in frames:
+            if frame.index in moved and not bool(torch.isfinite(moved[frame.index]).all()):
+                frame.pose.set_(self.trajectory.pose(frame.index))
 
     def _is_lost(self, frame: Frame) -> bool:
         return frame.index in self.trajectory and self.trajectory.lost(frame.index)

@@ -1,5 +1,6 @@
 """One moment of a sequence: what was measured, and where the camera is thought to be."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import torch
@@ -61,8 +62,19 @@ class Frame(nn.Module):
         """Where the images are."""
         return self.rgb.device
 
+    def fault(self, needs: Collection[str]) -> str | None:
+        """Say why the frame is of no use to a method that needs these modalities, or None."""
+        if not bool(torch.isfinite(self.rgb.sum())):
+            return "its image is not finite"
+        if "depth" not in needs or self.depth is None:
+            return None
+        if not bool(torch.isfinite(self.depth.sum())):
+            return "its depth is not finite"
+        return None if bool((self.depth > 0).any()) else "no pixel has a depth"
+
     def points_camera(self) -> Float[Tensor, "n 3"]:
         """Return the camera-frame points [m] of every pixel that has a depth, in raster order."""
         if self.depth is None:
             raise ValueError(f"frame {self.index} has no depth")
-        return (self.camera.rays(device=self.device) * self.depth[..., None])[self.depth > 0]
+        rays = self.camera.rays(self.camera.pixels(self.depth.dtype, self.device))
+        return (rays * self.depth[..., None])[self.depth > 0]
