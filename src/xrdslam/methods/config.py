@@ -1,6 +1,7 @@
-"""Settings of the stock methods. Imports no torch."""
+"""Settings of the stock tracking and mapping methods. Imports no torch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 from xrdslam.core.config import MappingConfig, TrackingConfig, require
 
@@ -14,44 +15,72 @@ __all__ = [
 
 @dataclass
 class GroundTruthTrackingConfig(TrackingConfig):
-    """The data's own poses: nothing to set."""
+    """The data's own poses."""
 
     name: str = "ground_truth"
 
 
 @dataclass
 class ConstantVelocityTrackingConfig(TrackingConfig):
-    """The motion model's prediction as it is: nothing to set."""
+    """The prediction itself, whatever the image shows."""
 
     name: str = "constant_velocity"
 
 
 @dataclass
-class GicpTrackingConfig(TrackingConfig):
-    """Depth registered to a Gaussian voxel map by generalised ICP."""
+class NoMappingConfig(MappingConfig):
+    """No map."""
 
-    name: str = "gicp"
-    iterations: int = 20
-    """Gauss-Newton steps at most."""
-    downsample: float = 0.05
-    """Edge [m] of the grid that thins a frame's points."""
-    voxel: float = 0.1
-    """Edge [m] of the map's voxels."""
-    max_distance: float = 0.2
-    """Points farther [m] from the map than this take no part."""
-    neighbours: int = 10
-    """Points that a covariance is estimated from."""
-
-    def __post_init__(self) -> None:
-        require(self.iterations >= 1, "algo.tracking.iterations", self.iterations, "be at least 1")
-        require(self.downsample > 0, "algo.tracking.downsample", self.downsample, "be a positive length [m]")
-        require(self.voxel > 0, "algo.tracking.voxel", self.voxel, "be a positive length [m]")
-        require(self.max_distance > 0, "algo.tracking.max_distance", self.max_distance, "be a positive length [m]")
-        require(self.neighbours >= 4, "algo.tracking.neighbours", self.neighbours, "be at least 4")
+    name: str = "none"
 
 
 @dataclass
-class NoMappingConfig(MappingConfig):
-    """No map: nothing to set."""
+class GicpTrackingConfig(TrackingConfig):
+    """Depth registered to a Gaussian voxel map.
 
-    name: str = "none"
+    One set of values for rendered rooms, Kinect and HoloLens depth: lengths are those of indoor scenes.
+    """
+
+    name: str = "gicp"
+    columns: int = 160
+    """Depth is read at every n-th pixel, so that about this many columns remain whatever the image's width."""
+    max_depth_m: float = 10.0
+    """Farther depth is not used."""
+    point_spacing_m: float = 0.03
+    """Points of a scan are averaged in cells of this size, which thins what is near the camera."""
+    num_neighbours: int = 10
+    """Points that a point's surface orientation is estimated from."""
+    voxel_m: float = 0.05
+    """Voxels of the map that the pose is finally registered to."""
+    coarse_voxels_m: list[float] = field(default_factory=lambda: [0.4, 0.15])
+    """Voxels of the maps that a registration which ends badly starts over from, coarsest first: the coarsest bounds how
+    far the prediction may be off."""
+    max_iterations: int = 30
+    """Per map."""
+    confident_overlap: float = 0.85
+    """A registration with this share of the points in the map's voxels is taken without trying another."""
+    min_overlap: float = 0.35
+    """With less the frame is lost."""
+    min_points: int = 100
+    """With fewer points the frame is lost."""
+    insert_distance_m: float = 0.05
+    """A scan goes into the map when the camera has moved this far since the last that did, ..."""
+    insert_angle_rad: float = 0.05
+    """... or turned this far, ..."""
+    insert_overlap: float = 0.9
+    """... or when less of the scan than this lies in the map."""
+
+    def __post_init__(self) -> None:
+        counts = {"columns": 1, "num_neighbours": 5, "max_iterations": 1, "min_points": 10}
+        for key, least in counts.items():
+            require(getattr(self, key) >= least, f"algo.tracking.{key}", getattr(self, key), f"be at least {least}")
+        for key in ("max_depth_m", "point_spacing_m", "voxel_m"):
+            require(getattr(self, key) > 0, f"algo.tracking.{key}", getattr(self, key), "be positive")
+        for key in ("insert_distance_m", "insert_angle_rad"):
+            require(getattr(self, key) >= 0, f"algo.tracking.{key}", getattr(self, key), "not be negative")
+        for key in ("confident_overlap", "min_overlap", "insert_overlap"):
+            require(0 <= getattr(self, key) <= 1, f"algo.tracking.{key}", getattr(self, key), "lie in [0, 1]")
+        sizes = [*self.coarse_voxels_m, self.voxel_m]
+        shrinking = all(a > b for a, b in pairwise(sizes))
+        must = f"shrink towards voxel_m={self.voxel_m}"
+        require(shrinking, "algo.tracking.coarse_voxels_m", self.coarse_voxels_m, must)
