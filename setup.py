@@ -1,4 +1,7 @@
-"""What pyproject.toml cannot say: `conf/` is the package `xrdslam.conf`, beside whatever lies in `src/`."""
+"""What pyproject.toml cannot say: packages that lie outside `src/`, beside whatever lies in it.
+
+`conf/` is `xrdslam.conf`; the example distribution is `xrdslam.example`, which `python -m xrdslam.plugins new` copies.
+"""
 
 from setuptools import find_namespace_packages, setup
 
@@ -6,5 +9,6 @@ setup(
     packages=[
         *find_namespace_packages("src", include=["hydra_plugins", "xrdslam", "xrdslam.*"], exclude=["*__pycache__*"]),
         "xrdslam.conf",
+        "xrdslam.example",
     ]
 )

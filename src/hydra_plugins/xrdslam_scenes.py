@@ -1,4 +1,4 @@
-"""Lets completion and messages see scenes: `dataset=replica/room0` is an option, though its file lies a folder deeper."""
+"""Lets completion and messages see scenes: `dataset=replica/room0` is an option, its file lies a folder deeper."""
 
 from hydra.core.object_type import ObjectType
 from hydra.plugins.config_source import ConfigResult, ConfigSource
