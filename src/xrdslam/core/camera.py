@@ -31,14 +31,19 @@ class Camera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise DataError(f"camera size {self.width}x{self.height}: both sides must be at least one pixel")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(v) for v in numbers) or self.fx <= 0 or self.fy <= 0:
             raise DataError(
                 f"camera intrinsics fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}: "
                 "focal lengths must be positive and everything finite; check the intrinsics of the dataset"
             )
-        if self.width < 1 or self.height < 1:
-            raise DataError(f"camera size {self.width}x{self.height}: both sides must be at least one pixel")
+        if len(self.distortion) not in (0, 4, 5, 8, 12, 14):
+            raise DataError(
+                f"camera distortion {self.distortion}: OpenCV's models have 4, 5, 8, 12 or 14 coefficients "
+                "(k1, k2, p1, p2[, k3...]); pad with zeros, or leave it empty for none"
+            )
 
     def K(self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Float[Tensor, "3 3"]:
         """Return the intrinsic matrix."""
