@@ -12,8 +12,8 @@ def xrdslam_datasets() -> list[DatasetInfo]:
     return [
         DatasetInfo(
             "synthetic",
-            "xrdslam.datasets.synthetic:SyntheticDataset",
-            "xrdslam.datasets.config:SyntheticConfig",
+            "xrdslam.datasets.synthetic.dataset:SyntheticDataset",
+            "xrdslam.datasets.synthetic.config:SyntheticConfig",
             "a ray-cast room made on the spot: exact poses and depth, nothing to download",
         ),
         DatasetInfo(
