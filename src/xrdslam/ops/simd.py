@@ -18,6 +18,7 @@ Numba's on-disk cache looks at the file of the *calling* kernel only: after an e
 # ruff: noqa: ANN401
 
 import inspect
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -34,19 +35,26 @@ __all__ = [
     "LANES",
     "absolute",
     "any_true",
+    "ceil",
     "exp2",
     "fetch_add",
+    "floor",
     "kernel",
     "lane_columns",
     "lane_rows",
     "load",
+    "log2",
+    "maximum",
     "minimum",
+    "pack_pair",
     "parallel_kernel",
     "prefetch",
     "select",
     "splat",
+    "sqrt",
     "store",
     "sum_lanes_of_16",
+    "transpose",
     "zeros",
 ]
 
@@ -276,15 +284,49 @@ def any_true(typingctx: Any, mask: Any) -> Any:
     return types.boolean(Mask), codegen
 
 
+def _extremum(predicate: str, doc: str) -> Any:
+    def extremum(typingctx: Any, vector: Any, limit: Any) -> Any:
+        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            other = _as_vector(builder, args[1], sig.args[1])
+            return builder.select(builder.fcmp_ordered(predicate, args[0], other), args[0], other)
+
+        return Vector(Vector, limit), codegen
+
+    extremum.__doc__ = doc
+    return _intrinsic(extremum)
+
+
+minimum = _extremum("<", "Return the smaller of each lane and the limit, a vector or a float32; the limit where NaN.")
+maximum = _extremum(">", "Return the larger of each lane and the limit, a vector or a float32; the limit where NaN.")
+
+
+def _unary(name: str, doc: str) -> Any:
+    def unary(typingctx: Any, vector: Any) -> Any:
+        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            kind = ir.FunctionType(_VF, [_VF])
+            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32")
+            return builder.call(function, args)
+
+        return Vector(Vector), codegen
+
+    unary.__doc__ = doc
+    return _intrinsic(unary)
+
+
+sqrt = _unary("sqrt", "Return each lane's square root.")
+floor = _unary("floor", "Return each lane rounded down.")
+ceil = _unary("ceil", "Return each lane rounded up.")
+
+
 @_intrinsic
-def minimum(typingctx: Any, vector: Any, scalar: Any) -> Any:
-    """Return the smaller of each lane and the float32 `scalar`."""
+def pack_pair(typingctx: Any, low: Any, high: Any) -> Any:
+    """Return the bits of int(low) | int(high) << 16 in each lane; both in [0, 32767]."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        limit = _broadcast(builder, args[1])
-        return builder.select(builder.fcmp_ordered("<", args[0], limit), args[0], limit)
+        first, last = (builder.fptosi(v, _VI) for v in args)
+        return builder.bitcast(builder.or_(first, builder.shl(last, _constant_i32(16))), _VF)
 
-    return Vector(Vector, types.float32), codegen
+    return Vector(Vector, Vector), codegen
 
 
 @_intrinsic
@@ -330,6 +372,52 @@ def exp2(typingctx: Any, vector: Any) -> Any:
         return builder.bitcast(builder.add(builder.bitcast(value, _VI), exponent), _VF)
 
     return Vector(Vector), codegen
+
+
+_LOG2_SERIES = tuple(2 / math.log(2) / k for k in (1, 3, 5, 7))
+
+
+@_intrinsic
+def log2(typingctx: Any, vector: Any) -> Any:
+    """Return log2 of each lane; positive normal numbers only, absolute error below 2e-7 up to 256.
+
+    x = 2^n m with m in [sqrt(1/2), sqrt(2)): log2 x = n + 2/ln 2 (s + s^3/3 + s^5/5 + s^7/7), s = (m - 1)/(m + 1).
+    """
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.bitcast(args[0], _VI)
+        above = builder.sub(bits, _constant_i32(0x3F3504F3))  # bits of sqrt(1/2)
+        whole = builder.ashr(above, _constant_i32(23))
+        mantissa = builder.bitcast(builder.sub(bits, builder.shl(whole, _constant_i32(23))), _VF)
+        one = _constant([1.0] * LANES)
+        s = builder.fdiv(builder.fsub(mantissa, one), builder.fadd(mantissa, one), flags=_FLAGS)
+        squared = builder.fmul(s, s, flags=_FLAGS)
+        value = _constant([_LOG2_SERIES[-1]] * LANES)
+        for coefficient in _LOG2_SERIES[-2::-1]:
+            product = builder.fmul(value, squared, flags=_FLAGS)
+            value = builder.fadd(product, _constant([coefficient] * LANES), flags=_FLAGS)
+        return builder.fadd(builder.fmul(value, s, flags=_FLAGS), builder.sitofp(whole, _VF), flags=_FLAGS)
+
+    return Vector(Vector), codegen
+
+
+@_intrinsic
+def transpose(typingctx: Any, rows: Any) -> Any:
+    """Return the columns of 16 vectors as a tuple of 16 vectors: structures of arrays to arrays of structures, or back."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        values = [builder.extract_value(args[0], k) for k in range(LANES)]
+        for step in (1, 2, 4, 8):  # swap the off-diagonal squares of this side
+            low = [c if not c & step else LANES + c - step for c in range(LANES)]
+            high = [c + step if not c & step else LANES + c for c in range(LANES)]
+            picks = [ir.Constant(_VI, [ir.Constant(_I32, k) for k in pick]) for pick in (low, high)]
+            for r in range(LANES):
+                if not r & step:
+                    pair = values[r], values[r + step]
+                    values[r], values[r + step] = (builder.shuffle_vector(*pair, pick) for pick in picks)
+        return context.make_tuple(builder, sig.return_type, values)
+
+    return types.UniTuple(Vector, LANES)(rows), codegen
 
 
 def _merge(builder: Any, left: Any, right: Any, low: list[int], high: list[int]) -> Any:

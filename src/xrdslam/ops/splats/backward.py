@@ -133,17 +133,17 @@ def _replay(with_color, records, entries, start, stop, tile_x, tile_y, state, mo
         if x0 > x1 or y0 > y1:
             store(moments, slot, zeros())
         else:
-            _accumulate(with_color, records[i], x0 >> 2, x1 >> 2, y0 >> 2, y1 >> 2, left, top, state, moments, slot)
+            _accumulate(with_color, records, i, x0 >> 2, x1 >> 2, y0 >> 2, y1 >> 2, left, top, state, moments, slot)
 
 
 @kernel
-def _accumulate(with_color, record, column0, column1, row0, row1, left, top, state, moments, slot):
+def _accumulate(with_color, records, i, column0, column1, row0, row1, left, top, state, moments, slot):
     """Replay one Gaussian on the blocks of a tile and write its sums (`layout.M_*`)."""
-    u, v = record[layout.U] - f32(left), record[layout.V] - f32(top)
-    xx, xy, yy = record[layout.POWER_XX], record[layout.POWER_XY], record[layout.POWER_YY]
-    log2_opacity = record[layout.LOG2_OPACITY]
-    red, green, blue = splat(record[layout.RED]), splat(record[layout.GREEN]), splat(record[layout.BLUE])
-    z = splat(record[layout.DEPTH])
+    u, v = records[i, layout.U] - f32(left), records[i, layout.V] - f32(top)
+    xx, xy, yy = records[i, layout.POWER_XX], records[i, layout.POWER_XY], records[i, layout.POWER_YY]
+    log2_opacity = records[i, layout.LOG2_OPACITY]
+    red, green, blue = splat(records[i, layout.RED]), splat(records[i, layout.GREEN]), splat(records[i, layout.BLUE])
+    z = splat(records[i, layout.DEPTH])
     m_1 = m_x = m_y = m_xx = m_xy = m_yy = zeros()
     m_red = m_green = m_blue = m_depth = zeros()
     for row in range(row0, row1 + 1):

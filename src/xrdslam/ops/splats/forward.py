@@ -116,18 +116,18 @@ def _composite(records, entries, start, stop, left, top, state):
         x0, x1 = max((px & 65535) - left, 0), min((px >> 16) - left, _LAST)
         y0, y1 = max((py & 65535) - top, 0), min((py >> 16) - top, _LAST)
         if x0 <= x1 and y0 <= y1:  # lists that are used again hold Gaussians that are not here now
-            _blend(records[i], x0 >> 2, x1 >> 2, y0 >> 2, y1 >> 2, left, top, state)
+            _blend(records, i, x0 >> 2, x1 >> 2, y0 >> 2, y1 >> 2, left, top, state)
     return stop
 
 
 @kernel
-def _blend(record, column0, column1, row0, row1, left, top, state):
+def _blend(records, i, column0, column1, row0, row1, left, top, state):
     """Blend one Gaussian onto the blocks of a tile."""
-    u, v = record[layout.U] - f32(left), record[layout.V] - f32(top)
-    xx, xy, yy = record[layout.POWER_XX], record[layout.POWER_XY], record[layout.POWER_YY]
-    log2_opacity = record[layout.LOG2_OPACITY]
-    red, green, blue = splat(record[layout.RED]), splat(record[layout.GREEN]), splat(record[layout.BLUE])
-    z = splat(record[layout.DEPTH])
+    u, v = records[i, layout.U] - f32(left), records[i, layout.V] - f32(top)
+    xx, xy, yy = records[i, layout.POWER_XX], records[i, layout.POWER_XY], records[i, layout.POWER_YY]
+    log2_opacity = records[i, layout.LOG2_OPACITY]
+    red, green, blue = splat(records[i, layout.RED]), splat(records[i, layout.GREEN]), splat(records[i, layout.BLUE])
+    z = splat(records[i, layout.DEPTH])
     for row in range(row0, row1 + 1):
         dy = lane_rows() + (f32(row * layout.BLOCK) - v)
         linear, constant = dy * xy, dy * dy * yy + log2_opacity

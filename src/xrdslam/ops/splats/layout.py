@@ -22,6 +22,7 @@ RED, GREEN, BLUE, DEPTH = 6, 7, 8, 9
 PIXELS_X, PIXELS_Y = 10, 11  # int: first | last << 16, the footprint cut to the image; first > last if there is none
 TILES = 12  # int: left | right << 8 | top << 16 | bottom << 24, the tiles whose lists hold the Gaussian
 SLOT = 13  # int: where its gradient slots begin, one for each of these tiles, row by row
+WIDE_X, WIDE_Y = 14, 15  # int: as PIXELS_*, grown by the margin
 RECORD = 16
 
 # The gradient slot of one Gaussian in one tile: sums over its pixels, with g = dL/d(ln alpha).
@@ -34,10 +35,12 @@ FX, FY, CX, CY, LIMIT_X, LIMIT_Y, LOWPASS, NEAR, MARGIN_PX, SLACK_TRANSLATION, S
 VIEW = 23
 
 f32 = np.float32
-EMPTY_PIXELS = 1  # first 1, last 0
 EMPTY_TILES = 1 | 1 << 16  # left 1, right 0, top 1, bottom 0
 
 
 def chunk_size(num_gaussians: int) -> int:
-    """Return how many Gaussians one unit of work takes: depends on nothing but their number, hence so do the sums."""
-    return max(1024, -(-num_gaussians // 64))
+    """Return how many Gaussians one unit of work takes, a multiple of 16.
+
+    It depends on nothing but their number, and so, hence, do the sums, whatever the threads.
+    """
+    return max(1024, -(-num_gaussians // 1024) * 16)

@@ -13,13 +13,40 @@ import math
 import numpy as np
 from numba import prange
 
-from xrdslam.ops.simd import kernel, parallel_kernel
+from xrdslam.ops.simd import (
+    ceil,
+    floor,
+    kernel,
+    load,
+    log2,
+    maximum,
+    minimum,
+    pack_pair,
+    parallel_kernel,
+    select,
+    splat,
+    sqrt,
+    store,
+    transpose,
+    zeros,
+)
 from xrdslam.ops.splats import layout
+from xrdslam.ops.splats.geometry import (
+    LANE_BUFFER,
+    LOG2E,
+    LOGIT,
+    camera_points,
+    covariance,
+    covariance_root,
+    exponential,
+    load_lanes,
+    shear,
+)
 from xrdslam.ops.splats.layout import f32
 from xrdslam.ops.splats.types import FOOTPRINT_MAX_SQ
 
-_HALF, _ONE, _TWO, _ZERO = f32(0.5), f32(1), f32(2), f32(0)
-_LN255, _LOG2E = f32(math.log(255)), f32(1 / math.log(2))
+_HALF, _ONE, _ZERO = f32(0.5), f32(1), f32(0)
+_LOG2_255, _2LN2 = f32(math.log2(255)), f32(2 * math.log(2))
 _LOGIT_MIN = f32(-math.log(254))
 _FOOTPRINT_MAX_SQ = f32(FOOTPRINT_MAX_SQ)
 
@@ -41,20 +68,12 @@ def find_candidates(view, width, height, means, log_scales, opacity_logits, chun
 
 
 @kernel
-def to_camera(view, means, i):
-    """Return one mean in camera axes."""
-    px, py, pz = means[i, 0], means[i, 1], means[i, 2]
-    return (
-        view[0] * px + view[1] * py + view[2] * pz + view[layout.TRANSLATION],
-        view[3] * px + view[4] * py + view[5] * pz + view[layout.TRANSLATION + 1],
-        view[6] * px + view[7] * py + view[8] * pz + view[layout.TRANSLATION + 2],
-    )
-
-
-@kernel
 def _may_be_seen(view, width, height, means, log_scales, i):
     """Say whether a ball about the mean, as large as the slack, reaches the frustum widened by the footprint."""
-    x, y, z = to_camera(view, means, i)
+    px, py, pz, t = means[i, 0], means[i, 1], means[i, 2], layout.TRANSLATION
+    x = view[0] * px + view[1] * py + view[2] * pz + view[t]
+    y = view[3] * px + view[4] * py + view[5] * pz + view[t + 1]
+    z = view[6] * px + view[7] * py + view[8] * pz + view[t + 2]
     reach = view[layout.SLACK_TRANSLATION] + view[layout.SLACK_ROTATION] * math.sqrt(x * x + y * y + z * z)
     near = view[layout.NEAR]
     if not z + reach > near:
@@ -83,109 +102,110 @@ def _may_be_seen(view, width, height, means, log_scales, i):
 
 
 @kernel
-def covariance_root(view, log_scales, quats, i, x, y, z, root):
-    """Write the 2x3 matrix whose square is the image-plane covariance before the low-pass: J R_cw R_q diag(scale).
+def _pixel_range(centre, half, last):
+    """Return the first and last pixel within `half` of the centre, cut to [0, last]; first > last if there is none."""
+    return ceil(maximum(centre - half, _ZERO)), floor(minimum(centre + half, last))
 
-    Isotropic Gaussians are the case without rotations. Also returns (tx, ty): x and y, clamped as J uses them.
+
+@kernel
+def _pixel_box(u, v, half_u, half_v, visible, right, bottom):
+    """Return the packed pixel ranges of both axes, empty ones where nothing of the footprint is in the image."""
+    left_u, right_u = _pixel_range(u, half_u, right)
+    top_v, bottom_v = _pixel_range(v, half_v, bottom)
+    seen = visible & (right_u >= left_u) & (bottom_v >= top_v)  # NaN ends here as well
+    one, none = splat(_ONE), zeros()
+    return (
+        pack_pair(select(seen, left_u, one), select(seen, right_u, none)),
+        pack_pair(select(seen, top_v, one), select(seen, bottom_v, none)),
+    )
+
+
+@kernel
+def _write_records(view, width, height, lanes, isotropic, colors, records, j):
+    """Project the 16 Gaussians in the lanes into records j ... j + 15.
+
+    The records' last two entries are the pixel box grown by the margin, which decides the tiles.
     """
-    tx = max(-view[layout.LIMIT_X] * z, min(view[layout.LIMIT_X] * z, x))
-    ty = max(-view[layout.LIMIT_Y] * z, min(view[layout.LIMIT_Y] * z, y))
-    jx, jy = view[layout.FX] / z, view[layout.FY] / z
-    kx, ky = -jx * tx / z, -jy * ty / z
-    if log_scales.shape[1] == 1:
-        s = math.exp(log_scales[i, 0])
-        root[0, 0], root[0, 1], root[0, 2] = jx * s, _ZERO, kx * s
-        root[1, 0], root[1, 1], root[1, 2] = _ZERO, jy * s, ky * s
-        return tx, ty
-    for col in range(3):
-        # column of R_cw R_q diag(s)
-        q0, q1, q2 = rotation_column(quats, i, col)
-        s = math.exp(log_scales[i, col])
-        m0 = view[0] * q0 + view[1] * q1 + view[2] * q2
-        m1 = view[3] * q0 + view[4] * q1 + view[5] * q2
-        m2 = view[6] * q0 + view[7] * q1 + view[8] * q2
-        root[0, col] = (jx * m0 + kx * m2) * s
-        root[1, col] = (jy * m1 + ky * m2) * s
-    return tx, ty
-
-
-@kernel
-def covariance(root, lowpass):
-    """Return (a, b, c) of root root^T + lowpass I and 1 / (ac - b^2).
-
-    The determinant comes from the root's minors (Cauchy-Binet): ac - b^2 would cancel where the Gaussian is a streak.
-    """
-    a = root[0, 0] * root[0, 0] + root[0, 1] * root[0, 1] + root[0, 2] * root[0, 2]
-    b = root[0, 0] * root[1, 0] + root[0, 1] * root[1, 1] + root[0, 2] * root[1, 2]
-    c = root[1, 0] * root[1, 0] + root[1, 1] * root[1, 1] + root[1, 2] * root[1, 2]
-    m01 = root[0, 0] * root[1, 1] - root[0, 1] * root[1, 0]
-    m02 = root[0, 0] * root[1, 2] - root[0, 2] * root[1, 0]
-    m12 = root[0, 1] * root[1, 2] - root[0, 2] * root[1, 1]
-    det = m01 * m01 + m02 * m02 + m12 * m12 + lowpass * (a + c + lowpass)
-    return a + lowpass, b, c + lowpass, _ONE / det
-
-
-@kernel
-def rotation_column(quats, i, column):
-    """Return a column of the rotation of a quaternion of any length."""
-    w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-    n = _TWO / (w * w + x * x + y * y + z * z)
-    if column == 0:
-        return _ONE - n * (y * y + z * z), n * (x * y + w * z), n * (x * z - w * y)
-    if column == 1:
-        return n * (x * y - w * z), _ONE - n * (x * x + z * z), n * (y * z + w * x)
-    return n * (x * z + w * y), n * (y * z - w * x), _ONE - n * (x * x + y * y)
-
-
-@kernel
-def _pixel_range(centre, half, size):
-    """Return the first and last pixel within `half` of `centre`, cut to the image; first > last if there is none."""
-    low, high = centre - half, centre + half
-    if not (high >= _ZERO and low <= f32(size - 1)):  # NaN ends here as well
-        return 1, 0
-    return np.int64(math.ceil(max(low, _ZERO))), np.int64(math.floor(min(high, f32(size - 1))))
-
-
-@kernel
-def _write_record(view, width, height, means, log_scales, opacity_logits, colors, quats, i, root, record, bits):
-    """Project one Gaussian into its record; returns the half sides of its footprint [px], negative if unseen."""
-    x, y, z = to_camera(view, means, i)
-    bits[layout.PIXELS_X] = layout.EMPTY_PIXELS
-    bits[layout.PIXELS_Y] = layout.EMPTY_PIXELS
-    log_opacity = -math.log(_ONE + math.exp(-opacity_logits[i]))
-    k = _TWO * (_LN255 + log_opacity)
-    if not (z > view[layout.NEAR] and k > _ZERO):
-        return -_ONE, -_ONE
-    covariance_root(view, log_scales, quats, i, x, y, z, root)
+    x, y, z = camera_points(view, lanes)
+    _, _, j00, j02, j11, j12 = shear(view, x, y, z)
+    root = covariance_root(view, lanes, isotropic, j00, j02, j11, j12)
     a, b, c, inverse = covariance(root, view[layout.LOWPASS])
-    scale = _LOG2E * inverse
-    u = view[layout.FX] * x / z + view[layout.CX]
-    v = view[layout.FY] * y / z + view[layout.CY]
-    record[layout.U], record[layout.V] = u, v
-    record[layout.POWER_XX], record[layout.POWER_YY] = -_HALF * c * scale, -_HALF * a * scale
-    record[layout.POWER_XY] = b * scale
-    record[layout.LOG2_OPACITY] = log_opacity * _LOG2E
-    record[layout.RED], record[layout.GREEN], record[layout.BLUE] = colors[i, 0], colors[i, 1], colors[i, 2]
-    record[layout.DEPTH] = z
-    half_u, half_v = math.sqrt(k * a), math.sqrt(k * c)
-    x0, x1 = _pixel_range(u, half_u, width)
-    y0, y1 = _pixel_range(v, half_v, height)
-    if x0 <= x1 and y0 <= y1:
-        bits[layout.PIXELS_X], bits[layout.PIXELS_Y] = x0 | x1 << 16, y0 | y1 << 16
-    return half_u, half_v
+    u, v = j00 * x + view[layout.CX], j11 * y + view[layout.CY]
+    log2_opacity = zeros() - log2(exponential(zeros() - load(lanes, LOGIT)) + _ONE)
+    reach_sq = (log2_opacity + _LOG2_255) * _2LN2  # where alpha has fallen to 1/255, in standard deviations
+    visible = (z > view[layout.NEAR]) & (reach_sq > _ZERO)
+    half_u, half_v = sqrt(reach_sq * a), sqrt(reach_sq * c)
+    right, bottom, margin = f32(width - 1), f32(height - 1), view[layout.MARGIN_PX]
+    pixels_x, pixels_y = _pixel_box(u, v, half_u, half_v, visible, right, bottom)
+    wide_x, wide_y = _pixel_box(u, v, half_u + margin, half_v + margin, visible, right, bottom)
+    scale = inverse * LOG2E
+    xx, xy, yy = c * scale * -_HALF, b * scale, a * scale * -_HALF
+    red, green, blue = load(colors, 0), load(colors, 16), load(colors, 32)
+    entries = (
+        u,
+        v,
+        xx,
+        xy,
+        yy,
+        log2_opacity,
+        red,
+        green,
+        blue,
+        z,
+        pixels_x,
+        pixels_y,
+        zeros(),
+        zeros(),
+        wide_x,
+        wide_y,
+    )
+    columns = transpose(entries)
+    for k in range(16):
+        store(records, (j + k) * layout.RECORD, columns[k])
 
 
 @kernel
-def _tile_box(record, half_u, half_v, margin, width, height):
-    """Return the packed tiles that the footprint, grown by the margin, touches, and how many they are."""
-    if half_u < _ZERO:
-        return 0, 0
-    x0, x1 = _pixel_range(record[layout.U], half_u + margin, width)
-    y0, y1 = _pixel_range(record[layout.V], half_v + margin, height)
-    if x0 > x1 or y0 > y1:
-        return 0, 0
-    left, right, top, bottom = x0 // layout.TILE, x1 // layout.TILE, y0 // layout.TILE, y1 // layout.TILE
-    return left | right << 8 | top << 16 | bottom << 24, (right - left + 1) * (bottom - top + 1)
+def _load_colors(colors, candidates, j, last, lanes):
+    """Copy the colours of candidates j ... j + 15 into lanes."""
+    for k in range(16):
+        i = candidates[min(j + k, last)]
+        lanes[k], lanes[16 + k], lanes[32 + k] = colors[i, 0], colors[i, 1], colors[i, 2]
+
+
+@kernel
+def _project_chunk(
+    view,
+    width,
+    height,
+    means,
+    log_scales,
+    opacity_logits,
+    colors,
+    quats,
+    candidates,
+    first,
+    count,
+    records,
+    lanes,
+    color_lanes,
+):
+    """Write the records of a chunk's candidates; the last batch may write past them, within the chunk."""
+    last = first + count - 1
+    isotropic = log_scales.shape[1] == 1
+    for j in range(first, last + 1, 16):
+        load_lanes(means, log_scales, opacity_logits, quats, candidates, j, last, lanes)
+        _load_colors(colors, candidates, j, last, color_lanes)
+        _write_records(view, width, height, lanes, isotropic, color_lanes, records, j)
+
+
+@kernel
+def _tile_box(wide_x, wide_y):
+    """Return the packed tiles that a pixel box touches."""
+    if (wide_x & 65535) > (wide_x >> 16):
+        return layout.EMPTY_TILES
+    left, right = (wide_x & 65535) // layout.TILE, (wide_x >> 16) // layout.TILE
+    top, bottom = (wide_y & 65535) // layout.TILE, (wide_y >> 16) // layout.TILE
+    return left | right << 8 | top << 16 | bottom << 24
 
 
 @parallel_kernel
@@ -199,7 +219,6 @@ def project_fresh(
     colors,
     quats,
     chunk,
-    keep_unseen,
     candidates,
     counts,
     records,
@@ -207,45 +226,40 @@ def project_fresh(
     tile_counts,
     slot_counts,
 ):
-    """Write the candidates' records, drop those that touch no tile, and count how many Gaussians each tile gets.
+    """Write the candidates' records and tile boxes, and count how many Gaussians each tile gets.
 
-    `slots` gets each Gaussian's first slot, counted from its chunk's first; `keep_unseen` keeps, for lists that will be
-    used again, what only the slack can bring into view: it has no tile and no slot.
+    `slots` gets each Gaussian's first slot, counted from its chunk's first, and its tiles.
     """
     bits = records.view(np.int32)
     tiles_x = (width + layout.TILE - 1) // layout.TILE
     for c in prange(counts.shape[0]):
-        root = np.empty((2, 3), np.float32)
-        found, slot = c * chunk, 0
+        lanes, color_lanes = np.empty(LANE_BUFFER, np.float32), np.empty(48, np.float32)
+        first = c * chunk
+        _project_chunk(
+            view,
+            width,
+            height,
+            means,
+            log_scales,
+            opacity_logits,
+            colors,
+            quats,
+            candidates,
+            first,
+            counts[c],
+            records,
+            lanes,
+            color_lanes,
+        )
         tile_counts[c, :] = 0
-        for j in range(c * chunk, c * chunk + counts[c]):
-            i = candidates[j]
-            half_u, half_v = _write_record(
-                view,
-                width,
-                height,
-                means,
-                log_scales,
-                opacity_logits,
-                colors,
-                quats,
-                i,
-                root,
-                records[found],
-                bits[found],
-            )
-            box, touched = _tile_box(records[found], half_u, half_v, view[layout.MARGIN_PX], width, height)
-            if touched == 0 and not keep_unseen:
-                continue
-            candidates[found] = i
-            slots[found, 0], slots[found, 1] = slot, box if touched > 0 else layout.EMPTY_TILES
-            slot += touched
-            found += 1
-            if touched > 0:
-                for ty in range(box >> 16 & 255, (box >> 24 & 255) + 1):
-                    for tx in range(box & 255, (box >> 8 & 255) + 1):
-                        tile_counts[c, ty * tiles_x + tx] += 1
-        counts[c] = found - c * chunk
+        slot = 0
+        for j in range(first, first + counts[c]):
+            box = _tile_box(bits[j, layout.WIDE_X], bits[j, layout.WIDE_Y])
+            slots[j, 0], slots[j, 1] = slot, box
+            for ty in range(box >> 16 & 255, (box >> 24 & 255) + 1):
+                for tx in range(box & 255, (box >> 8 & 255) + 1):
+                    tile_counts[c, ty * tiles_x + tx] += 1
+                    slot += 1
         slot_counts[c] = slot
 
 
@@ -269,34 +283,36 @@ def project_again(
     """Write the records of Gaussians whose tile lists exist; `broken` marks chunks where a footprint left its tiles."""
     bits = records.view(np.int32)
     for c in prange(counts.shape[0]):
-        root = np.empty((2, 3), np.float32)
+        lanes, color_lanes = np.empty(LANE_BUFFER, np.float32), np.empty(48, np.float32)
+        first = c * chunk
+        _project_chunk(
+            view,
+            width,
+            height,
+            means,
+            log_scales,
+            opacity_logits,
+            colors,
+            quats,
+            candidates,
+            first,
+            counts[c],
+            records,
+            lanes,
+            color_lanes,
+        )
         left_tiles = 0
-        for j in range(c * chunk, c * chunk + counts[c]):
-            _write_record(
-                view,
-                width,
-                height,
-                means,
-                log_scales,
-                opacity_logits,
-                colors,
-                quats,
-                candidates[j],
-                root,
-                records[j],
-                bits[j],
-            )
+        for j in range(first, first + counts[c]):
             bits[j, layout.SLOT], bits[j, layout.TILES] = slots[j, 0], slots[j, 1]
-            left_tiles |= _leaves_tiles(bits[j])
+            left_tiles |= _leaves_tiles(bits[j, layout.PIXELS_X], bits[j, layout.PIXELS_Y], slots[j, 1])
         broken[c] = left_tiles
 
 
 @kernel
-def _leaves_tiles(bits):
-    """Return 1 if a record's pixels reach outside the tiles it is listed in, else 0."""
-    px, py, box = bits[layout.PIXELS_X], bits[layout.PIXELS_Y], bits[layout.TILES]
+def _leaves_tiles(px, py, box):
+    """Return 1 if a pixel box reaches outside the tiles that list it, else 0."""
     x0, x1, y0, y1 = px & 65535, px >> 16, py & 65535, py >> 16
-    if x0 > x1 or y0 > y1:
+    if x0 > x1:
         return 0
     inside = (
         x0 // layout.TILE >= (box & 255)

@@ -139,9 +139,10 @@ def _draw(
 ) -> _Drawn:
     """Project, list, composite."""
     scratch = Scratch()
-    n, chunk = len(gaussians.means), layout.chunk_size(len(gaussians.means))
+    chunk = layout.chunk_size(len(gaussians.means))
+    chunks = -(-len(gaussians.means) // chunk)
     view = _view(gaussians.T_camera_world, settings)
-    records = scratch.empty((n, layout.RECORD), np.float32)
+    records = scratch.empty((chunks * chunk, layout.RECORD), np.float32)
     lists = _project_again(gaussians, tensors, settings, view, chunk, records)
     if lists is None:
         lists = _project_fresh(gaussians, tensors, settings, view, chunk, records)
@@ -172,19 +173,16 @@ def _project_fresh(
 ) -> BuiltLists:
     """Find what can be seen, project it, and write the lists of all tiles, not yet sorted."""
     camera, scratch = settings.camera, Scratch()
-    n, chunks = len(gaussians.means), -(-len(gaussians.means) // chunk)
+    chunks = -(-len(gaussians.means) // chunk)
     tiles_x, tiles_y = -(-camera.width // layout.TILE), -(-camera.height // layout.TILE)
-    candidates, counts = scratch.empty(n, np.int32), scratch.empty(chunks, np.int64)
-    slots, slot_counts = scratch.empty((n, 2), np.int32), scratch.empty(chunks, np.int64)
+    candidates, counts = scratch.empty(chunks * chunk, np.int32), scratch.empty(chunks, np.int64)
+    slots, slot_counts = scratch.empty((chunks * chunk, 2), np.int32), scratch.empty(chunks, np.int64)
     tile_counts = scratch.empty((chunks, tiles_x * tiles_y), np.int64)
     offsets = scratch.empty(tiles_x * tiles_y + 1, np.int64)
     g, size = gaussians, (camera.width, camera.height)
     projection.find_candidates(view, *size, g.means, g.log_scales, g.logits, chunk, candidates, counts)
     arrays = (g.means, g.log_scales, g.logits, g.colors, g.quats)
-    keep_unseen = settings.lists is not None
-    projection.project_fresh(
-        view, *size, *arrays, chunk, keep_unseen, candidates, counts, records, slots, tile_counts, slot_counts
-    )
+    projection.project_fresh(view, *size, *arrays, chunk, candidates, counts, records, slots, tile_counts, slot_counts)
     num_slots = int(binning.place(tile_counts, slot_counts, offsets))
     keys, entries = scratch.empty(num_slots, np.uint64), scratch.empty(num_slots, np.int32)
     binning.scatter(records, chunk, counts, slots, tiles_x, tile_counts, slot_counts, keys)
