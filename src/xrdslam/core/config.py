@@ -55,6 +55,8 @@ class IterativeTrackingConfig(TrackingConfig):
     lr_decay: float = 1.0
     """Factor on both rates at the last iteration, reached geometrically; 1 keeps them."""
     rotation: str = "axis_angle"
+    pivot: str = "camera"
+    """What the pose turns about: the camera's centre, or the middle of the scene that the frame measured."""
     keep_best: bool = True
     """Keep the pose of the smallest measured loss instead of the last one."""
     num_pixels: int = 1024
@@ -72,6 +74,7 @@ class IterativeTrackingConfig(TrackingConfig):
         require(self.lr_translation >= 0, "algo.tracking.lr_translation", self.lr_translation, "not be negative")
         require(0 < self.lr_decay <= 1, "algo.tracking.lr_decay", self.lr_decay, "be above 0 and at most 1")
         require_choice("algo.tracking.rotation", self.rotation, ("axis_angle", "quaternion"))
+        require_choice("algo.tracking.pivot", self.pivot, ("camera", "scene"))
         require(self.num_pixels >= 1, "algo.tracking.num_pixels", self.num_pixels, "be at least 1")
         require(self.border_px >= 0, "algo.tracking.border_px", self.border_px, "not be negative")
         require(self.stop_patience >= 0, "algo.tracking.stop_patience", self.stop_patience, "not be negative")

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from xrdslam.core.errors import DataError
 from xrdslam.core.geometry import se3, so3
 
-__all__ = ["OptimizablePose", "RotationKind"]
+__all__ = ["OptimizablePose", "PivotedPose", "RotationKind"]
 
 RotationKind = Literal["axis_angle", "quaternion"]
 
@@ -73,3 +73,46 @@ class OptimizablePose(nn.Module):
             {"name": "pose_rotation", "params": [self.rotation], "lr": lr_rotation},
             {"name": "pose_translation", "params": [self.translation], "lr": lr_second},
         ]
+
+
+class PivotedPose(OptimizablePose):
+    """The same pose, turned about a point of the scene instead of the camera's centre.
+
+    The parameters are those of T_camera_pivot, the world moved so that `pivot_world` is its origin: world-to-camera, as
+    SplaTAM optimises, but about the middle of what is seen. A small turn of the camera looks like a small shift; about
+    the camera's centre an optimiser has to trade one for the other along a narrow valley, about a point of the scene the
+    two are nearly independent.
+    """
+
+    pivot_world: Float[Tensor, "3"]
+
+    def __init__(
+        self,
+        rotation: Float[Tensor, " r"],
+        translation: Float[Tensor, "3"],
+        kind: RotationKind = "axis_angle",
+    ) -> None:
+        super().__init__(rotation, translation, kind)
+        self.register_buffer("pivot_world", torch.zeros_like(translation))
+
+    @classmethod
+    def about(
+        cls, T_world_camera: Float[Tensor, "4 4"], pivot_world: Float[Tensor, "3"], kind: RotationKind = "axis_angle"
+    ) -> "PivotedPose":
+        """Build the pose of a rigid matrix, turned about `pivot_world` [m]."""
+        pose = cls(torch.zeros(3 if kind == "axis_angle" else 4).to(T_world_camera), T_world_camera[:3, 3], kind)
+        pose.pivot_world.copy_(pivot_world)
+        pose.set_(T_world_camera)
+        return pose
+
+    @torch.no_grad()
+    def set_(self, T_world_camera: Float[Tensor, "4 4"]) -> None:
+        """Move to a rigid matrix in place; the pivot stays."""
+        T_pivot_camera = T_world_camera.clone()
+        T_pivot_camera[:3, 3] -= self.pivot_world
+        super().set_(se3.inverse(T_pivot_camera))
+
+    def matrix(self) -> Float[Tensor, "4 4"]:
+        """Return T_world_camera, differentiable in both parameters."""
+        rotation_world_camera = self.rotation_matrix().mT
+        return se3.compose(rotation_world_camera, self.pivot_world - rotation_world_camera @ self.translation)

@@ -15,9 +15,10 @@ from xrdslam.core.batch import Batch, BatchKind, ImageBatch
 from xrdslam.core.config import IterativeTrackingConfig, TrackingConfig
 from xrdslam.core.dataset import Modality
 from xrdslam.core.frame import Frame
+from xrdslam.core.geometry import se3
 from xrdslam.core.model import Model
 from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup, exponential_decay
-from xrdslam.core.pose import OptimizablePose, RotationKind
+from xrdslam.core.pose import OptimizablePose, PivotedPose, RotationKind
 from xrdslam.core.sampling import sample_rays
 from xrdslam.core.trajectory import Trajectory
 
@@ -125,15 +126,24 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
         predicted = frame.pose.matrix().detach()
         if model.size == 0:
             return TrackingResult(predicted, is_lost=True, converged=False, reason="the map is empty")
-        kind: RotationKind = "quaternion" if self.config.rotation == "quaternion" else "axis_angle"
-        pose = OptimizablePose.from_matrix(predicted, kind)
+        pose = self.parametrise(frame, predicted)
         with frozen(model):
             optimum = self.optimise(TrackingProblem(frame, model, pose))
         if not optimum.is_finite:
             return TrackingResult(predicted, True, False, optimum.iterations, reason="the tracking loss is not finite")
-        rotation, translation = optimum.best
-        found = OptimizablePose(rotation, translation, kind).matrix().detach()
-        return TrackingResult(found, iterations=optimum.iterations, loss=float(optimum.loss))
+        with torch.no_grad():
+            pose.rotation.copy_(optimum.best[0])
+            pose.translation.copy_(optimum.best[1])
+        return TrackingResult(pose.matrix().detach(), iterations=optimum.iterations, loss=float(optimum.loss))
+
+    def parametrise(self, frame: Frame, predicted: Float[Tensor, "4 4"]) -> OptimizablePose:
+        """Return the predicted pose in the parameters that the optimiser moves."""
+        kind: RotationKind = "quaternion" if self.config.rotation == "quaternion" else "axis_angle"
+        if self.config.pivot == "scene" and frame.depth is not None:
+            points_camera = frame.points_camera()
+            if len(points_camera):
+                return PivotedPose.about(predicted, se3.transform(predicted, points_camera.mean(0)), kind)
+        return OptimizablePose.from_matrix(predicted, kind)
 
     def num_iterations(self, problem: TrackingProblem) -> int:
         return self.config.iterations
