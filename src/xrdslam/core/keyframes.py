@@ -40,7 +40,8 @@ def overlap(
 ) -> Float[Tensor, " k"]:
     """Return, for each keyframe, the fraction of the frame's measured points that fall into its image.
 
-    SplaTAM's rule: 1600 pixels with depth drawn with replacement, inside if 20 px from the border and in front.
+    SplaTAM's rule: 1600 pixels with depth drawn with replacement, inside if 20 px from the border and in front. On
+    small images the border is at most a tenth of the shorter side (20 px of 24 rows would leave nothing inside).
     """
     points_camera = frame.points_camera()
     if not len(keyframes) or not len(points_camera):
@@ -51,7 +52,8 @@ def overlap(
     for keyframe in keyframes:
         seen = se3.transform(se3.inverse(keyframe.pose.matrix().detach()), points_world)
         pixels, depth = keyframe.camera.project(seen)
-        fractions.append((keyframe.camera.contains(pixels, border_px) & (depth > 0)).float().mean())
+        border = min(border_px, 0.1 * min(keyframe.camera.width, keyframe.camera.height))
+        fractions.append((keyframe.camera.contains(pixels, border) & (depth > 0)).float().mean())
     return torch.stack(fractions).cpu()
 
 

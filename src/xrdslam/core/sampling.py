@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from xrdslam.core.batch import RayBatch
+from xrdslam.core.errors import ConfigError
 from xrdslam.core.frame import Frame
 
 __all__ = ["sample_rays"]
@@ -36,10 +37,15 @@ def _rays_of(
     frame: Frame, T_world_camera: Tensor, count: int, slot: int, generator: torch.Generator, border_px: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     camera, device = frame.camera, frame.device
+    if 2 * border_px >= min(camera.width, camera.height):
+        raise ConfigError(
+            f"border_px={border_px}: leaves no pixel of a {camera.width}x{camera.height} px image; "
+            "lower algo.tracking.border_px or raise dataset.size"
+        )
     u = torch.randint(border_px, camera.width - border_px, (count,), generator=generator).to(device)
     v = torch.randint(border_px, camera.height - border_px, (count,), generator=generator).to(device)
     directions_camera = camera.rays(torch.stack((u, v), -1).to(frame.rgb.dtype))
     directions = directions_camera @ T_world_camera[:3, :3].mT
     origins = T_world_camera[:3, 3].expand(count, 3)
-    depth = frame.depth[v, u] if frame.depth is not None else torch.zeros(count, device=device)
+    depth = frame.depth[v, u] if frame.depth is not None else frame.rgb.new_zeros(count)
     return origins, directions, frame.rgb[v, u], depth, torch.full((count,), slot, device=device)
