@@ -216,9 +216,9 @@ class IterativeOptimisation(ABC, Generic[Problem]):
     def _keep(
         self, loss: Tensor, candidate: tuple[Tensor, ...], best_loss: Tensor, best: tuple[Tensor, ...]
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """Return the better of two, where NaN (in loss or candidate) never wins; without `keep_best` the newest."""
+        """Return the better of two, where what is not finite never wins; without `keep_best` the newest."""
         candidate = tuple(t.detach().clone() for t in candidate)
-        for t in candidate:  # a loss that leaves out what is not finite can be small for a candidate of NaN
+        for t in (loss, *candidate):  # a loss that leaves out what is not finite can be small for a candidate of NaN
             loss = torch.where(torch.isfinite(t).all(), loss, torch.nan)
         if not best or not self.keep_best:
             return loss, candidate
