@@ -52,8 +52,6 @@ class IterativeTrackingConfig(TrackingConfig):
     """Adam's rate on the rotation's parameters [rad, or quaternion units]."""
     lr_translation: float = 1e-3
     """Adam's rate on the camera centre [m]."""
-    lr_decay: float = 1.0
-    """Factor on both rates at the last iteration, reached geometrically; 1 keeps them."""
     rotation: str = "axis_angle"
     pivot: str = "camera"
     """What the pose turns about: the camera's centre, or the middle of the scene that the frame measured."""
@@ -72,7 +70,6 @@ class IterativeTrackingConfig(TrackingConfig):
         require(self.iterations >= 1, "algo.tracking.iterations", self.iterations, "be at least 1")
         require(self.lr_rotation >= 0, "algo.tracking.lr_rotation", self.lr_rotation, "not be negative")
         require(self.lr_translation >= 0, "algo.tracking.lr_translation", self.lr_translation, "not be negative")
-        require(0 < self.lr_decay <= 1, "algo.tracking.lr_decay", self.lr_decay, "be above 0 and at most 1")
         require_choice("algo.tracking.rotation", self.rotation, ("axis_angle", "quaternion"))
         require_choice("algo.tracking.pivot", self.pivot, ("camera", "scene"))
         require(self.num_pixels >= 1, "algo.tracking.num_pixels", self.num_pixels, "be at least 1")

@@ -17,7 +17,7 @@ from xrdslam.core.dataset import Modality
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3
 from xrdslam.core.model import Model
-from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup, exponential_decay
+from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup
 from xrdslam.core.pose import OptimizablePose, PivotedPose, RotationKind
 from xrdslam.core.sampling import sample_rays
 from xrdslam.core.trajectory import Trajectory
@@ -150,8 +150,7 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
 
     def groups(self, problem: TrackingProblem) -> list[ParameterGroup]:
         rates = problem.pose.parameter_groups(self.config.lr_rotation, self.config.lr_translation)
-        decay = exponential_decay(self.config.lr_decay, self.config.iterations - 1)
-        return [ParameterGroup(**group, schedule=decay) for group in rates]
+        return [ParameterGroup(**group) for group in rates]
 
     def candidate(self, problem: TrackingProblem) -> tuple[Tensor, ...]:
         return problem.pose.rotation, problem.pose.translation
