@@ -114,9 +114,7 @@ class Camera:
         safe = torch.where(z.abs() > 1e-9, z, torch.full_like(z, 1e-9))
         return torch.stack((self.fx * x / safe + self.cx, self.fy * y / safe + self.cy), -1), z
 
-    def unproject(
-        self, pixels: Float[Tensor, "*batch 2"], depth: Float[Tensor, "*batch"]
-    ) -> Float[Tensor, "*batch 3"]:
+    def unproject(self, pixels: Float[Tensor, "*batch 2"], depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3"]:
         """Return camera-frame points [m] of pixels [px] at depth z [m]."""
         return self.rays(pixels) * depth[..., None]
 

@@ -85,6 +85,4 @@ class Model(nn.Module, ABC):
         return getattr(cls, capability) is not getattr(Model, capability)
 
     def _cannot(self, capability: str) -> PluginError:
-        return PluginError(
-            f"the map {type(self).__name__} has no {capability!r}; choose a method that does without"
-        )
+        return PluginError(f"the map {type(self).__name__} has no {capability!r}; choose a method that does without")

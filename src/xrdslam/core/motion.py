@@ -30,4 +30,3 @@ def constant_velocity(trajectory: Trajectory) -> Float64[Tensor, "4 4"]:
 
 
 MOTION_MODELS: dict[str, Callable[[Trajectory], Tensor]] = {"none": stay, "constant_velocity": constant_velocity}
-

@@ -71,7 +71,7 @@ class RunDirectory:
         write_text(self.path / "environment.json", json.dumps(environment, indent=2) + "\n")
 
     def write_trajectory(self, name: str, timestamps_ns: Sequence[int], poses: Float[Tensor, "n 4 4"]) -> None:
-        """Write trajectory/<name>.txt in TUM's format: time [s], centre [m], quaternion x y z w; no row without a pose."""
+        """Write trajectory/<name>.txt as TUM does: time [s], centre [m], quaternion x y z w; no row without a pose."""
         lines = ["# timestamp tx ty tz qx qy qz qw"]
         for stamp, T_world_camera in zip(timestamps_ns, poses.double(), strict=True):
             if bool(torch.isfinite(T_world_camera).all()):

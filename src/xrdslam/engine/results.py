@@ -40,9 +40,8 @@ def save_map(run: Run) -> None:
     if model.size == 0:
         log.warning("the map is empty: no mesh, cloud or splats are written")
         return
-    views = [
-        View(frame.camera, run.algorithm.trajectory.pose(frame.index).to(frame.rgb)) for frame in run.algorithm.keyframes
-    ]
+    pose = run.algorithm.trajectory.pose
+    views = [View(frame.camera, pose(frame.index).to(frame.rgb)) for frame in run.algorithm.keyframes]
     writers: dict[str, Callable[[], object]] = {
         "export": lambda: model.export(run.directory.map),
         "point_cloud": lambda: model.point_cloud().write(run.directory.map / "cloud.ply"),

@@ -35,7 +35,9 @@ def _step(run: Run, tracker: Tracker, mapper: Mapper, frame: Frame, cost: FrameC
     run.note(frame)
     tracked = tracker.step(frame, cost)
     if tracked.is_lost:
-        log.warning("frame %d is lost (%s); its predicted pose is kept", frame.index, tracked.reason or "no reason given")
+        log.warning(
+            "frame %d is lost (%s); its predicted pose is kept", frame.index, tracked.reason or "no reason given"
+        )
     run.registry.notify("xrdslam_frame_tracked", run=run, frame=frame, result=tracked)
     mapped = mapper.step(frame, cost)
     if mapped is not None:
