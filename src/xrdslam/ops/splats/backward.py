@@ -18,6 +18,7 @@ from xrdslam.ops.simd import (
     any_true,
     exp2,
     fetch_add,
+    inline_kernel,
     kernel,
     lane_columns,
     lane_rows,
@@ -86,7 +87,7 @@ def tile_gradients(
                 store(moments, _slot(records, entries[e], tile_x, tile_y) * layout.RECORD, zeros())
 
 
-@kernel
+@inline_kernel
 def _slot(records, i, tile_x, tile_y):
     """Return the gradient slot of a Gaussian in a tile."""
     bits = records.view(np.int32)
@@ -136,7 +137,7 @@ def _replay(with_color, records, entries, start, stop, tile_x, tile_y, state, mo
             _accumulate(with_color, records, i, x0 >> 2, x1 >> 2, y0 >> 2, y1 >> 2, left, top, state, moments, slot)
 
 
-@kernel
+@inline_kernel
 def _accumulate(with_color, records, i, column0, column1, row0, row1, left, top, state, moments, slot):
     """Replay one Gaussian on the blocks of a tile and write its sums (`layout.M_*`)."""
     u, v = records[i, layout.U] - f32(left), records[i, layout.V] - f32(top)

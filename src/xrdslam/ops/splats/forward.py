@@ -17,6 +17,7 @@ from xrdslam.ops.simd import (
     any_true,
     exp2,
     fetch_add,
+    inline_kernel,
     kernel,
     lane_columns,
     lane_rows,
@@ -120,7 +121,7 @@ def _composite(records, entries, start, stop, left, top, state):
     return stop
 
 
-@kernel
+@inline_kernel
 def _blend(records, i, column0, column1, row0, row1, left, top, state):
     """Blend one Gaussian onto the blocks of a tile."""
     u, v = records[i, layout.U] - f32(left), records[i, layout.V] - f32(top)
