@@ -106,6 +106,18 @@ def test_a_chain_as_long_as_the_sequence_is_resolved() -> None:
     assert_close(trajectory.pose(count - 1), expected[-1], atol=1e-9)
 
 
+def test_poses_of_float32_do_not_drift_along_a_chain() -> None:
+    """A rotation rounded to float32 is 1e-7 off orthonormal; inverted by transposing, that doubles with every link."""
+    trajectory = Trajectory()
+    given = poses(300).float()
+    for index, pose in enumerate(given):
+        trajectory.append(index, index, pose)
+        if index:
+            trajectory.update(index, pose, anchor=index - 1)
+    torch.testing.assert_close(trajectory.current(), given.double(), rtol=0, atol=1e-13)
+    assert torch.equal(trajectory.online(), given.double())
+
+
 def test_poses_are_copies() -> None:
     trajectory, given = walk()
     held = given.clone()

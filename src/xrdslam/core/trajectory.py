@@ -119,7 +119,7 @@ class Trajectory:
         if anchor != index and index in self._chain(anchor):
             raise ValueError(f"frame {index} cannot hang on frame {anchor}, which hangs on it")
         entry = self._entries[index]
-        entry.T_anchor_frame = T_world_camera if anchor == index else se3.inverse(self.pose(anchor)) @ T_world_camera
+        entry.T_anchor_frame = T_world_camera if anchor == index else _relative(self.pose(anchor), T_world_camera)
         entry.anchor = anchor
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -147,6 +147,19 @@ class Trajectory:
 
 def _exact(T_world_camera: Tensor) -> Tensor:
     return T_world_camera.detach().to("cpu", torch.float64).clone()
+
+
+def _relative(T_world_anchor: Tensor, T_world_frame: Tensor) -> Tensor:
+    """Return T_anchor_frame with T_world_anchor T_anchor_frame = T_world_frame to float64.
+
+    By solving, not by R^T: that is the inverse of a rotation rounded to float32 to 1e-7 only, and what a product is off
+    orthonormal doubles with every link of a chain of anchors.
+    """
+    rotation = T_world_anchor[:3, :3]
+    columns = T_world_frame[:3].clone()
+    columns[:, 3] -= T_world_anchor[:3, 3]
+    relative = torch.linalg.solve(rotation, columns)
+    return se3.compose(relative[:, :3], relative[:, 3])
 
 
 def _stack(poses: list[Tensor]) -> Tensor:
