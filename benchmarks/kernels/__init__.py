@@ -1,0 +1,12 @@
+"""Kernels against their torch twins; the figure is twin time over kernel time."""
+
+from benchmarks.kernels.splats import splats
+from benchmarks.kernels.ssim import ssim
+from benchmarks.metric import Metric
+
+__all__ = ["kernels"]
+
+
+def kernels() -> list[Metric]:
+    """Measure every kernel."""
+    return [*splats(), *ssim()]
