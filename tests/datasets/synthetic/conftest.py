@@ -38,4 +38,4 @@ def toy_world(toy_scene: Scene) -> World:
 def room(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> SyntheticDataset:
     """The living room at 96 x 72, its cache shared by the session."""
     monkeypatch.setenv("XRDSLAM_CACHE", str(tmp_path_factory.getbasetemp() / "synthetic"))
-    return SyntheticDataset(SyntheticConfig(num_frames=40, width=96, height=72), COARSE)
+    return SyntheticDataset(SyntheticConfig(num_frames=40, width=96, height=72, lighting="coarse"))

@@ -12,13 +12,12 @@ from xrdslam.core.geometry import se3
 from xrdslam.datasets.synthetic.config import SyntheticConfig
 from xrdslam.datasets.synthetic.dataset import SyntheticDataset
 from xrdslam.datasets.synthetic.distance import signed_distance
-from xrdslam.datasets.synthetic.lighting import LightingConfig
-
-COARSE = LightingConfig(spacing=0.4, light_samples=2, gather_rays=8, bounces=1)
 
 
 def small(**knobs: object) -> SyntheticDataset:
-    return SyntheticDataset(SyntheticConfig(**{"num_frames": 40, "width": 96, "height": 72, **knobs}), COARSE)
+    return SyntheticDataset(
+        SyntheticConfig(**{"num_frames": 40, "width": 96, "height": 72, "lighting": "coarse", **knobs})
+    )
 
 
 def seen_again(dataset: SyntheticDataset, i: int, j: int) -> tuple[torch.Tensor, ...]:
@@ -146,3 +145,5 @@ def test_wrong_settings_are_refused() -> None:
         small(scene="attic")
     with pytest.raises(ConfigError, match=r"dataset\.num_frames"):
         SyntheticConfig(num_frames=0)
+    with pytest.raises(ConfigError, match=r"dataset\.lighting"):
+        SyntheticConfig(lighting="dim")

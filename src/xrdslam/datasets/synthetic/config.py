@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from xrdslam.core.config import require
+from xrdslam.core.config import require, require_choice
 from xrdslam.datasets.config import DatasetConfig
 
 __all__ = ["SyntheticConfig"]
@@ -20,6 +20,8 @@ class SyntheticConfig(DatasetConfig):
     """Length of the sequence; a longer one begins with the frames of a shorter, and after one round repeats."""
     width: int = 320
     height: int = 240
+    lighting: str = "fine"
+    """How light is computed before the first frame: fine takes seconds, coarse a moment (for tests)."""
     cache: bool = True
     """Keep frames and light on disk, in XRDSLAM_CACHE or the platform's cache folder."""
 
@@ -30,3 +32,4 @@ class SyntheticConfig(DatasetConfig):
             min(self.width, self.height) >= 1, "dataset.width, height", [self.width, self.height], "be at least 1 px"
         )
         require(self.seed >= 0, "dataset.seed", self.seed, "be 0 or more")
+        require_choice("dataset.lighting", self.lighting, ("fine", "coarse"))

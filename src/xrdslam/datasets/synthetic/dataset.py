@@ -27,6 +27,7 @@ __all__ = ["SyntheticDataset"]
 VERSION = 1
 """Raised with every change that alters a rendered bit: it is part of every key of the cache."""
 FRAMES_PER_SECOND = 30
+LIGHTING = {"fine": LightingConfig(), "coarse": LightingConfig(spacing=0.3, light_samples=2, gather_rays=12, bounces=1)}
 
 
 class SyntheticDataset(Dataset):
@@ -35,11 +36,11 @@ class SyntheticDataset(Dataset):
     Depth is exact, without noise; the room is closed, so every pixel has one. Colours are those of 8-bit images.
     """
 
-    def __init__(self, config: SyntheticConfig | None = None, lighting: LightingConfig | None = None) -> None:
+    def __init__(self, config: SyntheticConfig | None = None) -> None:
         """Build the room and the walk; light is computed when the first frame is rendered."""
         self.config = config or SyntheticConfig()
         self.on_error = "skip" if self.config.on_error == "skip" else "raise"
-        self._lighting = lighting or LightingConfig()
+        self._lighting = LIGHTING[self.config.lighting]
         self._cache = ArrayCache(user_cache_folder() / "synthetic" if self.config.cache else None)
         self.scene = build_room(self.config.scene, self.config.seed)
         self._packed = self.scene.pack()
