@@ -150,7 +150,9 @@ def test_a_run_leaves_everything_that_is_promised(tmp_path: Path, registry: Regi
     assert metrics["profile/frames"] == 6
     assert metrics["trajectory/final/ate_rmse_cm"] > 0
     environment = json.loads((tmp_path / "environment.json").read_text())
-    assert environment["seed"] == 0 and environment["threads"] == 1 and "torch" in environment["versions"]
+    assert environment["seed"] == 0
+    assert environment["threads"] == 1
+    assert "torch" in environment["versions"]
 
 
 def test_trajectories_are_written_in_tums_format_with_exact_times(tmp_path: Path, registry: Registry) -> None:
@@ -196,7 +198,8 @@ def test_a_lost_frame_keeps_its_prediction_is_counted_and_is_not_mapped(
     summary = run(config_of(tracking="blind"), tmp_path, registry)
     assert summary.metrics["trajectory/lost_frames"] == 1
     assert json.loads((tmp_path / "keyframes.json").read_text())["lost_frames"] == [3]
-    assert "mapped 3" not in toy.heard and "mapped 4" in toy.heard
+    assert "mapped 3" not in toy.heard
+    assert "mapped 4" in toy.heard
     assert len((tmp_path / "trajectory/final.txt").read_text().splitlines()) == 7
     assert any("frame 3 is lost" in record.getMessage() for record in caplog.records)
 
@@ -205,7 +208,8 @@ def test_a_lost_frame_keeps_its_prediction_is_counted_and_is_not_mapped(
 def test_an_interrupted_run_saves_what_there_is_and_says_so(tmp_path: Path, registry: Registry, seed: int) -> None:
     assert threading.current_thread() is threading.main_thread()
     summary = run(config_of(mapping="interrupted", seed=seed), tmp_path, registry)
-    assert summary.was_interrupted and summary.exit_status == 130
+    assert summary.was_interrupted
+    assert summary.exit_status == 130
     assert len((tmp_path / "trajectory/online.txt").read_text().splitlines()) == 1 + 4
     assert load_file(tmp_path / "map/map.safetensors")
     assert json.loads((tmp_path / "metrics.json").read_text())["profile/frames"] == 3

@@ -78,10 +78,10 @@ class OptimizablePose(nn.Module):
 class PivotedPose(OptimizablePose):
     """The same pose, turned about a point of the scene instead of the camera's centre.
 
-    The parameters are those of T_camera_pivot, the world moved so that `pivot_world` is its origin: world-to-camera, as
-    SplaTAM optimises, but about the middle of what is seen. A small turn of the camera looks like a small shift; about
-    the camera's centre an optimiser has to trade one for the other along a narrow valley, about a point of the scene the
-    two are nearly independent.
+    The parameters are those of T_camera_pivot, the world moved so that `pivot_world` is its origin: world-to-camera,
+    as SplaTAM optimises, but about the middle of what is seen. A small turn of the camera looks like a small shift:
+    about the camera's centre an optimiser has to trade one for the other along a narrow valley, about a point of the
+    scene the two are nearly independent.
     """
 
     pivot_world: Float[Tensor, "3"]

@@ -11,7 +11,7 @@ from xrdslam.core.dataset import Dataset
 from xrdslam.core.errors import ConfigError
 from xrdslam.core.registry import Registry, installed
 
-__all__ = ["build_algorithm", "build_dataset", "resolve_device"]
+__all__ = ["build_algorithm", "build_dataset", "current_accelerator", "resolve_device", "settings_of"]
 
 
 def build_dataset(config: RunConfig, registry: Registry | None = None) -> Dataset:
@@ -38,7 +38,7 @@ def build_algorithm(
 
 def resolve_device(name: str) -> str:
     """Return a device that torch has, or say which it has."""
-    accelerator = torch.accelerator.current_accelerator() if torch.accelerator.is_available() else None
+    accelerator = current_accelerator()
     if name == "auto":
         return "cpu" if accelerator is None else str(accelerator)
     try:
@@ -47,6 +47,12 @@ def resolve_device(name: str) -> str:
         has = "cpu" if accelerator is None else f"cpu, {accelerator}"
         raise ConfigError(f"device={name}: not usable here ({str(error).splitlines()[0]}); there is {has}") from error
     return name
+
+
+def current_accelerator() -> torch.device | None:
+    """Return the accelerator that torch would use, if any (torch names it from 2.6 on; before, `device=` must)."""
+    accelerator = getattr(torch, "accelerator", None)
+    return accelerator.current_accelerator() if accelerator is not None and accelerator.is_available() else None
 
 
 def settings_of(config: RunConfig) -> dict[str, object]:

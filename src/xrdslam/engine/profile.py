@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 import torch
 
+from xrdslam.engine.build import current_accelerator
+
 __all__ = ["FrameCost", "Profile", "peak_rss_mib", "rss_mib"]
 
 
@@ -110,7 +112,7 @@ def rss_mib() -> float:
 
 
 def _synchronise() -> None:
-    if torch.accelerator.is_available():
+    if current_accelerator() is not None:
         torch.accelerator.synchronize()
 
 

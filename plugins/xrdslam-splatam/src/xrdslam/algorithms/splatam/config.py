@@ -70,6 +70,7 @@ class SplatamTrackingConfig(IterativeTrackingConfig):
     lr_rotation: float = 4e-4
     lr_translation: float = 2e-3
     rotation: str = "quaternion"
+    pivot: str = "scene"
     min_tracked_share: float = 0.4
     """A frame of whose measured pixels the map explains a smaller share is lost; 0 never."""
 
