@@ -20,11 +20,13 @@ from rich.table import Column, Table
 
 from benchmarks.kernels import kernels
 from benchmarks.metric import Metric, read_baseline, regressions, write_baseline
+from benchmarks.runs import methods, startup
 
 BASELINE = Path(__file__).with_name("baseline.json")
 GROUPS: dict[str, Callable[[], list[Metric]]] = {
     "kernels": kernels,
-    # Methods (ms per iteration, frames/s, peak memory) and start-up go here, each a function that returns its metrics.
+    "methods": methods,
+    "startup": startup,
 }
 
 

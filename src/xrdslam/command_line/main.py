@@ -9,6 +9,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
 
 from xrdslam.command_line.compose import run_config
 from xrdslam.command_line.explain import in_one_line
@@ -49,6 +50,7 @@ def _run(cfg: DictConfig) -> None:
         from xrdslam import engine  # torch and the methods: only now that everything is checked
 
         summary = engine.run(config, run_dir)
+        Console().print(engine.summary_table(summary.metrics, run_dir))
     except XrdslamError as error:
         sys.exit(f"xrdslam: {in_one_line(error)}")
     if summary.exit_status:
