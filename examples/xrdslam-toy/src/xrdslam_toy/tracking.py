@@ -17,6 +17,9 @@ from xrdslam_toy.config import ToyTrackingConfig
 
 __all__ = ["ToyTracking"]
 
+DAMPING = 1e-3
+"""Part of the squared length of a normal, per pair."""
+
 
 class Surface(NamedTuple):
     """A frame's depth as points with normals, in its camera's axes; a normal of 0 marks a pixel without one."""
@@ -55,7 +58,7 @@ class ToyTracking(TrackingMethod):
             if share < self.settings.min_share or len(pairs.points) < 6:
                 return TrackingResult(predicted, is_lost=True, reason=f"{share:.0%} of the points have a partner")
             T_last_camera = pairs.step() @ T_last_camera
-        found = (self.last.T_world_camera @ T_last_camera).to(predicted)
+        found = _orthonormal(self.last.T_world_camera @ T_last_camera).to(predicted)
         return TrackingResult(found, iterations=self.settings.iterations, loss=float(pairs.residuals().abs().mean()))
 
     def _pair(self, points: Float64[Tensor, "n 3"], camera: Camera) -> "Pairs":
@@ -90,11 +93,20 @@ class Pairs(NamedTuple):
         return ((self.points - self.partners) * self.normals).sum(-1)
 
     def step(self) -> Float64[Tensor, "4 4"]:
-        """Return the motion that minimises the squared residuals to first order: r + (p x n) . omega + n . t = 0."""
+        """Return the motion that minimises the squared residuals to first order: r + (p x n) . omega + n . t = 0.
+
+        Damped, so that what the planes leave open (sliding along a wall) stays as predicted.
+        """
         jacobian = torch.cat((torch.linalg.cross(self.points, self.normals), self.normals), -1)
-        hessian = jacobian.mT @ jacobian + 1e-6 * torch.eye(6, dtype=jacobian.dtype, device=jacobian.device)
+        damping = DAMPING * len(self.points) * torch.eye(6, dtype=jacobian.dtype, device=jacobian.device)
+        hessian = jacobian.mT @ jacobian + damping
         motion = torch.linalg.solve(hessian, -(jacobian.mT @ self.residuals()))
         return se3.compose(so3.exp(motion[:3]), motion[3:])
+
+
+def _orthonormal(pose: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
+    """Return the pose with its rotation made exact: what chaining frames adds to its error would double with each."""
+    return se3.compose(so3.from_quat_wxyz(so3.to_quat_wxyz(pose[:3, :3])), pose[:3, 3])
 
 
 def surface_of(frame: Frame) -> tuple[Float64[Tensor, "h w 3"], Float64[Tensor, "h w 3"]]:
