@@ -65,7 +65,8 @@ def test_frames_follow_the_conventions(room: SyntheticDataset) -> None:
     assert (frame.rgb * 255 - (frame.rgb * 255).round()).abs().max() < 1e-4
     assert 0.05 < frame.rgb.mean() < 0.95
     assert frame.rgb.std() > 0.1
-    assert room.camera.fx == 48
+    camera = room.camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (48, 48, 47.5, 35.5)  # pixel (0, 0) is a centre
     low, high = room.bounds
     position = frame.T_world_camera_gt[:3, 3]
     assert (position > low).all()

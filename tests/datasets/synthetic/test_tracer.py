@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from xrdslam.datasets.synthetic.bvh import STACK, build_bvh, first_hit
 from xrdslam.datasets.synthetic.distance import signed_distance
 from xrdslam.datasets.synthetic.lighting import LightingConfig, bake
-from xrdslam.datasets.synthetic.scene import Scene, rotation
+from xrdslam.datasets.synthetic.scene import Scene, Shape, Solid, rotation
 from xrdslam.datasets.synthetic.shading import World
 from xrdslam.datasets.synthetic.tracer import render
 
@@ -89,6 +89,15 @@ def test_the_guess_does_not_change_the_answer(toy_world: World) -> None:
         d = rng.normal(size=3)
         found = [first_hit(toy_world.scene, toy_world.bvh, -0.6, -0.4, 1.9, *d, guess, stack) for guess in range(5)]
         assert len(set(found)) == 1
+
+
+def test_the_guess_does_not_change_which_of_two_coinciding_faces_is_seen(toy_scene: Scene) -> None:
+    grey = toy_scene.shell[0]
+    twins = tuple(Solid(Shape.BOX, (0.3, 0.3, h), 0.0, (grey,), (0.0, 0.0, 1.0 - h)) for h in (0.5, 0.25, 0.125))
+    packed = Scene("twins", (5.0, 4.0, 3.0), (grey,), twins, ()).pack()  # three tops at z = 1
+    bvh, stack = build_bvh(packed), np.empty(STACK, np.int64)
+    for guess in range(4):
+        assert first_hit(packed, bvh, 0.1, 0.1, 2.0, 0.0, 0.0, -1.0, guess, stack) == (1.0, 1)
 
 
 def test_any_number_of_threads_gives_the_same_bits(toy_scene: Scene, toy_world: World) -> None:
