@@ -174,7 +174,7 @@ def test_state_comes_back_with_the_same_bits_and_goes_on_the_same(count: int) ->
 
 
 def test_a_long_chain_of_keyframes_adds_no_error() -> None:
-    """Poses come in float32, 6e-8 from orthonormal: were that to double with each of 100 keyframes, it would be 1e23."""
+    """Poses come in float32, 6e-8 from orthonormal: doubled with each of 100 keyframes that would be 1e23."""
     trajectory = Trajectory()
     step = se3.compose(so3.exp(torch.tensor([0.02, 0.03, -0.01])), torch.tensor([0.02, 0.0, 0.01]))
     pose = torch.eye(4)
