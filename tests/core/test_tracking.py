@@ -157,3 +157,12 @@ def test_its_random_numbers_go_on_after_a_resume() -> None:
     other.load_state_dict(one.state_dict())
     results = [t.track(frame, ToyRayModel.exact(), Trajectory()).T_world_camera for t in (one, other)]
     assert torch.equal(*results)
+
+
+@pytest.mark.parametrize(("num_poses", "expected"), [(0, 9), (1, 9), (2, 4)])
+def test_a_frame_whose_motion_cannot_be_predicted_gets_iterations_of_its_own(num_poses: int, expected: int) -> None:
+    trajectory = Trajectory()
+    for index in range(num_poses):
+        trajectory.append(index, index, torch.eye(4))
+    tracker = GradientTracking(IterativeTrackingConfig("toy", iterations=4, first_iterations=9))
+    assert tracker.track(off_by(OFFSET)[0], ToyModel.exact(), trajectory).iterations == expected

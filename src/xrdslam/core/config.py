@@ -48,6 +48,8 @@ class IterativeTrackingConfig(TrackingConfig):
     """Pose optimisation against the map."""
 
     iterations: int = 40
+    first_iterations: int = 0
+    """Iterations on a frame whose motion cannot be predicted, the second of a sequence; 0 takes `iterations`."""
     lr_rotation: float = 1e-3
     """Adam's rate on the rotation's parameters [rad, or quaternion units]."""
     lr_translation: float = 1e-3
@@ -68,6 +70,8 @@ class IterativeTrackingConfig(TrackingConfig):
 
     def __post_init__(self) -> None:
         require(self.iterations >= 1, "algo.tracking.iterations", self.iterations, "be at least 1")
+        first = self.first_iterations
+        require(first >= 0, "algo.tracking.first_iterations", first, "not be negative")
         require(self.lr_rotation >= 0, "algo.tracking.lr_rotation", self.lr_rotation, "not be negative")
         require(self.lr_translation >= 0, "algo.tracking.lr_translation", self.lr_translation, "not be negative")
         require_choice("algo.tracking.rotation", self.rotation, ("axis_angle", "quaternion"))

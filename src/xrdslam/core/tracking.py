@@ -100,6 +100,8 @@ class TrackingProblem:
     frame: Frame
     model: Model
     pose: OptimizablePose
+    is_predicted: bool = True
+    """Whether two earlier poses let the motion model predict this one."""
     best_seen: float = float("inf")
     stale_iterations: int = 0
     memory: dict[str, Any] = field(default_factory=dict)
@@ -128,7 +130,7 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
             return TrackingResult(predicted, is_lost=True, converged=False, reason="the map is empty")
         pose = self.parametrise(frame, predicted)
         with frozen(model):
-            optimum = self.optimise(TrackingProblem(frame, model, pose))
+            optimum = self.optimise(TrackingProblem(frame, model, pose, len(trajectory) > 1))
         if not optimum.is_finite:
             return TrackingResult(predicted, True, False, optimum.iterations, reason="the tracking loss is not finite")
         with torch.no_grad():
@@ -146,7 +148,8 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
         return OptimizablePose.from_matrix(predicted, kind)
 
     def num_iterations(self, problem: TrackingProblem) -> int:
-        return self.config.iterations
+        unpredicted = self.config.first_iterations or self.config.iterations
+        return self.config.iterations if problem.is_predicted else unpredicted
 
     def groups(self, problem: TrackingProblem) -> list[ParameterGroup]:
         rates = problem.pose.parameter_groups(self.config.lr_rotation, self.config.lr_translation)
