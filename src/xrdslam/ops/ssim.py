@@ -110,13 +110,15 @@ def _run(
 ) -> tuple[Tensor, Tensor, np.ndarray]:
     """Return the map, its derivatives by the three moments that hold x, and per-row sums of (SSIM, |x - y|)."""
     from xrdslam.ops.ssim_kernels import similarity  # here, so that the torch twin needs no numba
+    from xrdslam.ops.threads import kernel_threads
 
     image = torch.empty(x.shape)
     partials = torch.empty(3, *(x.shape if with_gradient else (0, 0, 0)))
     sums = np.empty((x.shape[0], 2), np.float64)
     arrays = (t.detach().contiguous().numpy() for t in (x, y))
     flat = (weights.astype(np.float32), *(np.float32(c) for c in constants), x.shape[2])
-    similarity(*arrays, *flat, image.numpy(), partials.numpy(), sums)
+    with kernel_threads():
+        similarity(*arrays, *flat, image.numpy(), partials.numpy(), sums)
     return image, partials, sums
 
 
@@ -125,10 +127,12 @@ def _pull_back(
 ) -> Tensor:
     """Return dL/dx: scale_ssim * cotangent on the map (empty: ones) and scale_l1 * sign(x - y)."""
     from xrdslam.ops.ssim_kernels import gradient
+    from xrdslam.ops.threads import kernel_threads
 
     d_x = torch.empty(x.shape)
     arrays = [t.detach().contiguous().numpy() for t in (x, y, partials, cotangent)]
-    gradient(*arrays, weights.astype(np.float32), *(np.float32(s) for s in scales), x.shape[2], d_x.numpy())
+    with kernel_threads():
+        gradient(*arrays, weights.astype(np.float32), *(np.float32(s) for s in scales), x.shape[2], d_x.numpy())
     return d_x
 
 

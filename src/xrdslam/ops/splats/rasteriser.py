@@ -1,11 +1,9 @@
 """The CPU renderer: the numba kernels in order, as one differentiable torch function."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -16,6 +14,7 @@ from xrdslam.ops.splats import backward, binning, forward, gradients, layout, pr
 from xrdslam.ops.splats.scratch import Scratch
 from xrdslam.ops.splats.tile_lists import BuiltLists, TileLists, identity
 from xrdslam.ops.splats.types import FRUSTUM_CLAMP, PinholeLike, SplatRender
+from xrdslam.ops.threads import kernel_threads
 
 __all__ = ["render_numba"]
 
@@ -81,7 +80,7 @@ class _Rasterise(torch.autograd.Function):
         camera = settings.camera
         rgb = torch.empty(camera.height, camera.width, 3)
         depth, opacity = torch.empty(camera.height, camera.width), torch.empty(camera.height, camera.width)
-        with _threads() as workers:
+        with kernel_threads() as workers:
             drawn = _draw(_map(tensors), tensors, settings, workers, (rgb.numpy(), depth.numpy(), opacity.numpy()))
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(*tensors, rgb, depth, opacity)
@@ -97,23 +96,12 @@ class _Rasterise(torch.autograd.Function):
         d_images = [
             torch.zeros_like(x) if g is None else g.contiguous() for x, g in zip(images, cotangents, strict=True)
         ]
-        with _threads() as workers:
+        with kernel_threads() as workers:
             moments = _moments(ctx.drawn, ctx.camera, workers, not pose_only, [t.numpy() for t in (*images, *d_images)])
             grads, d_pose = _chain(ctx.drawn, _map(tensors), tensors, pose_only, moments)
         needed = ctx.needs_input_grad
         ordered = (*grads[:4], d_pose, grads[4])
         return (*(g if need else None for g, need in zip(ordered, needed, strict=False)), None)
-
-
-@contextmanager
-def _threads() -> Iterator[int]:
-    """Let numba use as many threads as torch may."""
-    before, workers = numba.get_num_threads(), min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]  # set at run time
-    numba.set_num_threads(workers)
-    try:
-        yield workers
-    finally:
-        numba.set_num_threads(before)
 
 
 def _map(tensors: Sequence[Tensor]) -> _Map:
