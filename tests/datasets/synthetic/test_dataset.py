@@ -55,7 +55,7 @@ def test_every_pixel_s_point_is_on_a_surface(room: SyntheticDataset) -> None:
 
 def test_frames_follow_the_conventions(room: SyntheticDataset) -> None:
     assert len(room) == 40
-    assert room.name == "synthetic/living_room"
+    assert room.name == "synthetic/room0"
     assert room.modalities == {"rgb", "depth", "pose"}
     frame = room[-1]
     assert isinstance(frame, Frame)
@@ -142,7 +142,7 @@ def test_the_mesh_is_made_once(room: SyntheticDataset) -> None:
 
 
 def test_wrong_settings_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="living_room"):
+    with pytest.raises(UnknownNameError, match="room0"):
         small(scene="attic")
     with pytest.raises(ConfigError, match=r"dataset\.num_frames"):
         SyntheticConfig(num_frames=0)

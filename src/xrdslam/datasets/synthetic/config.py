@@ -13,7 +13,7 @@ class SyntheticConfig(DatasetConfig):
     """A procedural room, walked through with a camera of 90 degrees (fx = fy = half the width)."""
 
     family: str = "synthetic"
-    scene: str = "living_room"
+    scene: str = "room0"
     seed: int = 0
     """Changes what stands in the room, its textures and the walk."""
     num_frames: int = 120

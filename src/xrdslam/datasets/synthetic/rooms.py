@@ -75,7 +75,7 @@ def living_room(rng: np.random.Generator) -> Scene:
         Light((1.25, 2.05, 1.605), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (40.0, 30.0, 17.0)),
         Light((1.25, 2.05, 1.315), (0.15, 0.0, 0.0), (0.0, -0.15, 0.0), (14.0, 10.5, 6.0)),
     )
-    return Scene("living_room", (5.8, 4.8, 2.6), shell, tuple(solids), lights)
+    return Scene("room0", (5.8, 4.8, 2.6), shell, tuple(solids), lights)
 
 
 def table_top(rng: np.random.Generator, clay: Material) -> list[Solid]:
@@ -189,4 +189,4 @@ def window_side(rng: np.random.Generator, white: Material, cloth: Material) -> l
     )
 
 
-ROOMS: dict[str, Callable[[np.random.Generator], Scene]] = {"living_room": living_room}
+ROOMS: dict[str, Callable[[np.random.Generator], Scene]] = {"room0": living_room}
