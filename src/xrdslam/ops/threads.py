@@ -13,8 +13,8 @@ __all__ = ["kernel_threads"]
 def kernel_threads() -> Iterator[int]:
     """Run numba's parallel kernels on as many threads as torch may use, and say how many that is.
 
-    Numba's OpenMP layer, when it starts, sets the thread count of the OpenMP library that it may share with torch and so
-    undoes an earlier `torch.set_num_threads`: that is put right here.
+    Numba's OpenMP layer, when it starts, sets the thread count of the OpenMP library that it may share with torch, and
+    so undoes an earlier `torch.set_num_threads`: that is put right here.
     """
     wanted = torch.get_num_threads()
     before = numba.get_num_threads()  # starts the layer
