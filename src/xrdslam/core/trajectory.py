@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
-from xrdslam.core.geometry import se3, so3
+from xrdslam.core.geometry import se3
 
 __all__ = ["Trajectory"]
 
@@ -68,12 +68,8 @@ class Trajectory:
         self._hang(index, anchor, pose)
 
     def make_keyframe(self, index: int) -> None:
-        """Let a frame stand on its own, and later ones hang on it.
-
-        Its rotation is made orthonormal: a rigid inverse leaves twice an anchor's error in whatever hangs on it, which
-        would double from keyframe to keyframe.
-        """
-        self._hang(index, index, _orthonormal(self.pose(index)))
+        """Let a frame stand on its own, and later ones hang on it."""
+        self._hang(index, index, self.pose(index))
         self._anchor = index
 
     def update(self, index: int, T_world_camera: Tensor, anchor: int | None = None) -> None:
@@ -157,18 +153,13 @@ def _relative(T_world_anchor: Tensor, T_world_frame: Tensor) -> Tensor:
     """Return T_anchor_frame with T_world_anchor T_anchor_frame = T_world_frame to float64.
 
     By solving, not by R^T: that is the inverse of a rotation rounded to float32 to 1e-7 only, and what a product is off
-    orthonormal doubles with every link of a chain of anchors.
+    orthonormal doubles with every link of a chain, be it of anchors or of keyframes that first hung on the one before.
     """
     rotation = T_world_anchor[:3, :3]
     columns = T_world_frame[:3].clone()
     columns[:, 3] -= T_world_anchor[:3, 3]
     relative = torch.linalg.solve(rotation, columns)
     return se3.compose(relative[:, :3], relative[:, 3])
-
-
-def _orthonormal(T_world_camera: Tensor) -> Tensor:
-    rotation = so3.from_quat_wxyz(so3.to_quat_wxyz(T_world_camera[:3, :3]))
-    return se3.compose(rotation, T_world_camera[:3, 3])
 
 
 def _stack(poses: list[Tensor]) -> Tensor:
