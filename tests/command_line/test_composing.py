@@ -65,8 +65,8 @@ def test_settings_of_another_family_can_be_asked_for() -> None:
 
 
 def test_a_preset_lies_over_settings_and_the_command_line_over_both() -> None:
-    tum = ("dataset=seven_scenes/chess", "preset=fast")
-    assert composed(*tum).algo.tracking.iterations == 20  # 200 by the family
+    tum = ("dataset=seven_scenes/chess", "preset=small")
+    assert composed(*tum).algo.tracking.iterations == 10  # 200 by the family
     assert composed(*tum).algo.tracking.lr_translation == 2e-3  # by the family, the preset is silent
     assert composed(*tum, "algo.tracking.iterations=7").algo.tracking.iterations == 7
 
@@ -74,9 +74,9 @@ def test_a_preset_lies_over_settings_and_the_command_line_over_both() -> None:
 def test_an_exchanged_method_takes_none_of_the_settings_of_the_one_it_replaces() -> None:
     from xrdslam.methods.config import GicpTrackingConfig
 
-    config = typed("dataset=seven_scenes/chess", "preset=fast", "algo/tracking=gicp")
+    config = typed("dataset=seven_scenes/chess", "preset=small", "algo/tracking=gicp")
     assert config.algo.tracking == GicpTrackingConfig()
-    assert config.algo.mapping.iterations == 20  # the preset of the mapping that stays
+    assert config.algo.mapping.iterations == 15  # the preset of the mapping that stays
 
 
 @pytest.mark.parametrize("tracking", ["ground_truth", "constant_velocity", "gicp", "splatam"])
