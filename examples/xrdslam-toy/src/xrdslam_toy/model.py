@@ -80,4 +80,4 @@ class PointMap(Model):
         """Take the size from the state: the map that is loaded into may be empty."""
         self.points = torch.empty_like(state_dict[prefix + "points"])
         self.colors = torch.empty_like(state_dict[prefix + "colors"])
-        super()._load_from_state_dict(state_dict, prefix, *args)  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        super()._load_from_state_dict(state_dict, prefix, *args)
