@@ -8,11 +8,11 @@ from xrdslam.core.model import Model
 from xrdslam.testing import AlgorithmContract, ModelContract
 
 QUICK = {
-    "tracking.iterations": 30,
-    "tracking.first_iterations": 60,
+    "tracking.iterations": 40,
+    "tracking.first_iterations": 120,
     "tracking.lr_rotation": 1e-3,
-    "mapping.iterations": 10,
-    "mapping.first_iterations": 60,
+    "mapping.iterations": 15,
+    "mapping.first_iterations": 200,
     "map.mesh_voxel_m": 0.05,
     "map.mesh_truncation_m": 0.2,
 }
