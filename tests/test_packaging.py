@@ -10,6 +10,7 @@ import tomllib
 import venv
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -158,18 +159,21 @@ def test_a_new_distribution_keeps_its_contract_as_it_is_written(
 
 @pytest.mark.parametrize("name", DISTRIBUTIONS)
 def test_what_is_imported_is_declared(name: str) -> None:
-    folder = DISTRIBUTIONS[name]
-    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
-    extras = project.get("optional-dependencies", {})
-    declared = {_module(d) for d in (*project["dependencies"], *(d for extra in extras.values() for d in extra))}
-    declared |= {"omegaconf", "xrdslam", "hydra_plugins", name.replace("-", "_"), *sys.stdlib_module_names}
-    if name != "xrdslam":  # what the core depends on comes with it
-        declared |= {
-            _module(d) for d in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-        }
-    imported = {path: _imported(path) for path in (folder / "src").rglob("*.py")}
-    undeclared = {str(path): names - declared for path, names in imported.items() if names - declared}
-    assert not undeclared
+    """What the core depends on comes with it; tests may also use what its own tests need."""
+    folder, core = DISTRIBUTIONS[name], _project(ROOT)
+    optional = [extra for extras in _project(folder).get("optional-dependencies", {}).values() for extra in extras]
+    required = [*_project(folder)["dependencies"], *core["dependencies"], *optional]
+    ours = {"omegaconf", "xrdslam", "hydra_plugins", name.replace("-", "_"), *sys.stdlib_module_names}
+    for part, extra in (("src", []), ("tests", core["optional-dependencies"]["test"])):
+        declared = ours | {_module(requirement) for requirement in (*required, *extra)}
+        imported = {path: _imported(path) for path in (folder / part).rglob("*.py")}
+        undeclared = {str(path): names - declared for path, names in imported.items() if names - declared}
+        assert not undeclared
+
+
+def _project(folder: Path) -> dict[str, Any]:
+    project: dict[str, Any] = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    return project
 
 
 def _imported(path: Path) -> set[str]:
