@@ -170,16 +170,16 @@ def _integrate_sample(
     tsdf[row, i, j, k] += share * (min(1.0, distance / truncation_m) - tsdf[row, i, j, k])
     if distance >= truncation_m:  # free space: what is seen behind it is not its colour
         return
-    color = colors[row, i, j, k]
-    color[3] += new
-    share = new / color[3]
+    total = colors[row, i, j, k, 3] + new
+    colors[row, i, j, k, 3] = total
+    share = new / total
     for channel in range(3):
         value = float(rgb[line, column, channel])
         if smooth:
             upper = (1 - s) * rgb[v0, u0, channel] + s * rgb[v0, u0 + 1, channel]
             lower = (1 - s) * rgb[v0 + 1, u0, channel] + s * rgb[v0 + 1, u0 + 1, channel]
             value = (1 - r) * upper + r * lower
-        color[channel] += share * (value - color[channel])
+        colors[row, i, j, k, channel] += share * (value - colors[row, i, j, k, channel])
 
 
 @parallel_kernel
