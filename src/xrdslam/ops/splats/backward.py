@@ -20,8 +20,6 @@ from xrdslam.ops.simd import (
     fetch_add,
     inline_kernel,
     kernel,
-    lane_columns,
-    lane_rows,
     load,
     minimum,
     parallel_kernel,
@@ -33,12 +31,15 @@ from xrdslam.ops.simd import (
     zeros,
 )
 from xrdslam.ops.splats import layout
+from xrdslam.ops.splats.blocks import load_block, split_rgb
 from xrdslam.ops.splats.forward import (
     _AHEAD,
     _ALPHA_MAX,
+    _COLUMNS,
     _LAST,
     _ONE,
     _POWER_MIN,
+    _ROWS,
     _TRANSMITTANCE_MIN,
     _ZERO,
 )
@@ -99,24 +100,48 @@ def _slot(records, i, tile_x, tile_y):
 @kernel
 def _read(left, top, width, height, rgb, depth, opacity, d_rgb, d_depth, d_opacity, state):
     """Copy a tile of the cotangents in; the total behind is their product with the rendered image."""
-    if left + layout.TILE > width or top + layout.TILE > height:
-        state[:] = _ZERO
-    for y in range(min(layout.TILE, height - top)):
-        for x in range(min(layout.TILE, width - left)):
-            at = (y // 4 * layout.BLOCKS + x // 4) * STATE + y % 4 * 4 + x % 4
-            row, column = top + y, left + x
-            red, green, blue = d_rgb[row, column, 0], d_rgb[row, column, 1], d_rgb[row, column, 2]
-            z, silhouette = d_depth[row, column], d_opacity[row, column]
-            state[at] = _ONE
-            state[at + 16] = (
-                red * rgb[row, column, 0]
-                + green * rgb[row, column, 1]
-                + blue * rgb[row, column, 2]
-                + z * depth[row, column]
-                + silhouette * opacity[row, column]
-            )
-            state[at + 32] = silhouette
-            state[at + 48], state[at + 64], state[at + 80], state[at + 96] = red, green, blue, z
+    for block in range(layout.BLOCKS * layout.BLOCKS):
+        base = block * STATE
+        x = left + block % layout.BLOCKS * layout.BLOCK
+        y = top + block // layout.BLOCKS * layout.BLOCK
+        if x + layout.BLOCK > width or y + layout.BLOCK > height:
+            _read_cut(x, y, width, height, rgb, depth, opacity, d_rgb, d_depth, d_opacity, state, base)
+            continue
+        red, green, blue = _load_rgb(rgb, x, y, width)
+        d_red, d_green, d_blue = _load_rgb(d_rgb, x, y, width)
+        pixel = y * width + x
+        d_z, d_silhouette = load_block(d_depth, pixel, width), load_block(d_opacity, pixel, width)
+        total = d_z * load_block(depth, pixel, width) + d_silhouette * load_block(opacity, pixel, width)
+        store(state, base, splat(_ONE))
+        store(state, base + 16, total + d_red * red + d_green * green + d_blue * blue)
+        store(state, base + 32, d_silhouette)
+        store(state, base + 48, d_red)
+        store(state, base + 64, d_green)
+        store(state, base + 80, d_blue)
+        store(state, base + 96, d_z)
+
+
+@kernel
+def _load_rgb(image, x, y, width):
+    """Return the three channels of a block."""
+    at = 3 * (y * width + x)
+    first, second = load_block(image, at, 3 * width), load_block(image, at + 4, 3 * width)
+    return split_rgb(first, second, load_block(image, at + 8, 3 * width))
+
+
+@kernel
+def _read_cut(left, top, width, height, rgb, depth, opacity, d_rgb, d_depth, d_opacity, state, base):
+    """Copy in what is inside the image of one block; the rest is full and has no cotangents."""
+    for channel in range(7):
+        store(state, base + channel * layout.LANES, zeros())
+    for y in range(top, min(top + layout.BLOCK, height)):
+        for x in range(left, min(left + layout.BLOCK, width)):
+            at = base + (y - top) * layout.BLOCK + x - left
+            total = d_depth[y, x] * depth[y, x] + d_opacity[y, x] * opacity[y, x]
+            for channel in range(3):
+                total += d_rgb[y, x, channel] * rgb[y, x, channel]
+                state[at + 48 + 16 * channel] = d_rgb[y, x, channel]
+            state[at], state[at + 16], state[at + 32], state[at + 96] = _ONE, total, d_opacity[y, x], d_depth[y, x]
 
 
 @kernel
@@ -147,41 +172,43 @@ def _accumulate(with_color, records, i, column0, column1, row0, row1, left, top,
     z = splat(records[i, layout.DEPTH])
     m_1 = m_x = m_y = m_xx = m_xy = m_yy = zeros()
     m_red = m_green = m_blue = m_depth = zeros()
-    for row in range(row0, row1 + 1):
-        dy = lane_rows() + (f32(row * layout.BLOCK) - v)
-        linear, constant = dy * xy, dy * dy * yy + log2_opacity
-        for column in range(column0, column1 + 1):
-            base = (row * layout.BLOCKS + column) * STATE
-            dx = lane_columns() + (f32(column * layout.BLOCK) - u)
-            power = (dx * xx + linear) * dx + constant
-            T = load(state, base)
-            reached = power >= _POWER_MIN
-            if any_true(reached & (T > _ZERO)):
-                alpha = minimum(exp2(power), _ALPHA_MAX)
-                alpha = select(reached, alpha, zeros())
-                weight = alpha * T
-                after = T - weight
-                is_open = after >= _TRANSMITTANCE_MIN
-                weight = select(is_open, weight, zeros())
-                store(state, base, select(is_open, after, zeros() - absolute(T)))
-                d_red, d_green, d_blue = load(state, base + 48), load(state, base + 64), load(state, base + 80)
-                d_z = load(state, base + 96)
-                q = load(state, base + 32) + red * d_red + green * d_green + blue * d_blue + z * d_z
-                behind = load(state, base + 16) - weight * q
-                store(state, base + 16, behind)
-                g = weight * q - alpha * behind / (_ONE - alpha)
-                g = select(is_open & (alpha < _ALPHA_MAX), g, zeros())
-                g_x, g_y = g * dx, g * dy
-                m_1 += g
-                m_x += g_x
-                m_y += g_y
-                m_xx += g_x * dx
-                m_xy += g_x * dy
-                m_yy += g_y * dy
-                m_depth += weight * d_z
-                if with_color:
-                    m_red += weight * d_red
-                    m_green += weight * d_green
-                    m_blue += weight * d_blue
+    row, column = row0, column0
+    num_blocks = (row1 - row0 + 1) * (column1 - column0 + 1)
+    for _ in range(num_blocks):  # one loop, not two: its end is mispredicted once
+        base = (row * layout.BLOCKS + column) * STATE
+        dx, dy = load(_COLUMNS, column * layout.LANES) - u, load(_ROWS, row * layout.LANES) - v
+        column += 1
+        wraps = column > column1
+        row, column = row + 1 if wraps else row, column0 if wraps else column
+        power = (dx * xx + dy * xy) * dx + (dy * yy * dy + log2_opacity)
+        reached, T = power >= _POWER_MIN, load(state, base)
+        if num_blocks > layout.MANY_BLOCKS and not any_true(reached & (T > _ZERO)):
+            continue
+        alpha = minimum(exp2(power), _ALPHA_MAX)
+        alpha = select(reached, alpha, zeros())
+        weight = alpha * T
+        after = T - weight
+        is_open = after >= _TRANSMITTANCE_MIN
+        weight = select(is_open, weight, zeros())
+        store(state, base, select(is_open, after, zeros() - absolute(T)))
+        d_red, d_green, d_blue = load(state, base + 48), load(state, base + 64), load(state, base + 80)
+        d_z = load(state, base + 96)
+        q = load(state, base + 32) + red * d_red + green * d_green + blue * d_blue + z * d_z
+        behind = load(state, base + 16) - weight * q
+        store(state, base + 16, behind)
+        g = weight * q - alpha * behind / (_ONE - alpha)
+        g = select(is_open & (alpha < _ALPHA_MAX), g, zeros())
+        g_x, g_y = g * dx, g * dy
+        m_1 += g
+        m_x += g_x
+        m_y += g_y
+        m_xx += g_x * dx
+        m_xy += g_x * dy
+        m_yy += g_y * dy
+        m_depth += weight * d_z
+        if with_color:
+            m_red += weight * d_red
+            m_green += weight * d_green
+            m_blue += weight * d_blue
     sums = sum_lanes_of_16((m_1, m_x, m_y, m_xx, m_xy, m_yy, m_red, m_green, m_blue, m_depth))
     store(moments, slot, sums)

@@ -1,6 +1,7 @@
 """Compositing: each tile's Gaussians, nearest first, onto its pixels; colour, depth and transmittance in one pass.
 
-The outer loop runs over Gaussians, the inner one over the 4x4 blocks under the footprint, 16 pixels at a time.
+The outer loop runs over Gaussians, the inner one over the 4x4 blocks under the footprint, 16 pixels at a time. It has
+no branches: mispredicting them costs more than the empty blocks do.
 """
 
 # Kernels take numpy arrays and scalars that numba types by itself:
@@ -19,8 +20,6 @@ from xrdslam.ops.simd import (
     fetch_add,
     inline_kernel,
     kernel,
-    lane_columns,
-    lane_rows,
     load,
     minimum,
     parallel_kernel,
@@ -32,11 +31,13 @@ from xrdslam.ops.simd import (
 )
 from xrdslam.ops.splats import layout
 from xrdslam.ops.splats.binning import sort_tile
+from xrdslam.ops.splats.blocks import join_rgb, store_block
 from xrdslam.ops.splats.layout import f32
 from xrdslam.ops.splats.types import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
 _ALPHA_MAX, _TRANSMITTANCE_MIN, _POWER_MIN = f32(ALPHA_MAX), f32(TRANSMITTANCE_MIN), f32(math.log2(ALPHA_MIN))
 _ZERO, _ONE = f32(0), f32(1)
+_COLUMNS, _ROWS = layout.COLUMNS, layout.ROWS
 _LAST = layout.TILE - 1
 _AHEAD = 6
 _OPEN_CHECK = 64
@@ -87,8 +88,8 @@ def _clear(left, top, width, height, state):
     """Set every pixel of the tile to black and clear, those outside the image to full."""
     for block in range(layout.BLOCKS * layout.BLOCKS):
         base = block * STATE
-        x = lane_columns() + f32(left + block % layout.BLOCKS * layout.BLOCK)
-        y = lane_rows() + f32(top + block // layout.BLOCKS * layout.BLOCK)
+        x = load(_COLUMNS, block % layout.BLOCKS * layout.LANES) + f32(left)
+        y = load(_ROWS, block // layout.BLOCKS * layout.LANES) + f32(top)
         inside = (x < f32(width)) & (y < f32(height))
         store(state, base, select(inside, splat(_ONE), zeros()))
         for channel in range(1, 5):
@@ -129,36 +130,54 @@ def _blend(records, i, column0, column1, row0, row1, left, top, state):
     log2_opacity = records[i, layout.LOG2_OPACITY]
     red, green, blue = splat(records[i, layout.RED]), splat(records[i, layout.GREEN]), splat(records[i, layout.BLUE])
     z = splat(records[i, layout.DEPTH])
-    for row in range(row0, row1 + 1):
-        dy = lane_rows() + (f32(row * layout.BLOCK) - v)
-        linear, constant = dy * xy, dy * dy * yy + log2_opacity
-        for column in range(column0, column1 + 1):
-            base = (row * layout.BLOCKS + column) * STATE
-            dx = lane_columns() + (f32(column * layout.BLOCK) - u)
-            power = (dx * xx + linear) * dx + constant
-            T = load(state, base)
-            reached = power >= _POWER_MIN
-            if any_true(reached & (T > _ZERO)):
-                alpha = minimum(exp2(power), _ALPHA_MAX)
-                weight = select(reached, alpha * T, zeros())
-                after = T - weight
-                is_open = after >= _TRANSMITTANCE_MIN
-                weight = select(is_open, weight, zeros())
-                store(state, base, select(is_open, after, zeros() - absolute(T)))
-                store(state, base + 16, load(state, base + 16) + weight * red)
-                store(state, base + 32, load(state, base + 32) + weight * green)
-                store(state, base + 48, load(state, base + 48) + weight * blue)
-                store(state, base + 64, load(state, base + 64) + weight * z)
+    row, column = row0, column0
+    num_blocks = (row1 - row0 + 1) * (column1 - column0 + 1)
+    for _ in range(num_blocks):  # one loop, not two: its end is mispredicted once
+        base = (row * layout.BLOCKS + column) * STATE
+        dx, dy = load(_COLUMNS, column * layout.LANES) - u, load(_ROWS, row * layout.LANES) - v
+        column += 1
+        wraps = column > column1
+        row, column = row + 1 if wraps else row, column0 if wraps else column
+        power = (dx * xx + dy * xy) * dx + (dy * yy * dy + log2_opacity)
+        reached, T = power >= _POWER_MIN, load(state, base)
+        if num_blocks > layout.MANY_BLOCKS and not any_true(reached & (T > _ZERO)):
+            continue
+        alpha = minimum(exp2(power), _ALPHA_MAX)
+        weight = select(reached, alpha * T, zeros())
+        after = T - weight
+        is_open = after >= _TRANSMITTANCE_MIN
+        weight = select(is_open, weight, zeros())
+        store(state, base, select(is_open, after, zeros() - absolute(T)))
+        store(state, base + 16, load(state, base + 16) + weight * red)
+        store(state, base + 32, load(state, base + 32) + weight * green)
+        store(state, base + 48, load(state, base + 48) + weight * blue)
+        store(state, base + 64, load(state, base + 64) + weight * z)
 
 
 @kernel
 def _write(left, top, width, height, state, rgb, depth, opacity):
-    """Copy a tile into the images."""
-    for y in range(min(layout.TILE, height - top)):
-        for x in range(min(layout.TILE, width - left)):
-            at = (y // 4 * layout.BLOCKS + x // 4) * STATE + y % 4 * 4 + x % 4
-            opacity[top + y, left + x] = _ONE - abs(state[at])
-            rgb[top + y, left + x, 0] = state[at + 16]
-            rgb[top + y, left + x, 1] = state[at + 32]
-            rgb[top + y, left + x, 2] = state[at + 48]
-            depth[top + y, left + x] = state[at + 64]
+    """Copy a tile into the images, block by block; the image's edge may cut the last ones."""
+    for block in range(layout.BLOCKS * layout.BLOCKS):
+        base = block * STATE
+        x = left + block % layout.BLOCKS * layout.BLOCK
+        y = top + block // layout.BLOCKS * layout.BLOCK
+        if x + layout.BLOCK > width or y + layout.BLOCK > height:
+            _write_cut(x, y, width, height, state, base, rgb, depth, opacity)
+            continue
+        pixel = y * width + x
+        store_block(opacity, pixel, width, splat(_ONE) - absolute(load(state, base)))
+        store_block(depth, pixel, width, load(state, base + 64))
+        first, second, third = join_rgb(load(state, base + 16), load(state, base + 32), load(state, base + 48))
+        store_block(rgb, 3 * pixel, 3 * width, first)
+        store_block(rgb, 3 * pixel + 4, 3 * width, second)
+        store_block(rgb, 3 * pixel + 8, 3 * width, third)
+
+
+@kernel
+def _write_cut(left, top, width, height, state, base, rgb, depth, opacity):
+    """Copy what is inside the image of one block."""
+    for y in range(top, min(top + layout.BLOCK, height)):
+        for x in range(left, min(left + layout.BLOCK, width)):
+            at = base + (y - top) * layout.BLOCK + x - left
+            opacity[y, x], depth[y, x] = _ONE - abs(state[at]), state[at + 64]
+            rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2] = state[at + 16], state[at + 32], state[at + 48]

@@ -35,6 +35,14 @@ FX, FY, CX, CY, LIMIT_X, LIMIT_Y, LOWPASS, NEAR, MARGIN_PX, SLACK_TRANSLATION, S
 VIEW = 23
 
 f32 = np.float32
+
+# Coordinates of the pixels of each block column and of each block row of a tile, 16 lanes each.
+COLUMNS = (np.arange(LANES, dtype=f32) % BLOCK + BLOCK * np.arange(BLOCKS, dtype=f32)[:, None]).astype(f32)
+ROWS = (np.arange(LANES, dtype=f32) // BLOCK + BLOCK * np.arange(BLOCKS, dtype=f32)[:, None]).astype(f32)
+MANY_BLOCKS = 12
+"""A footprint over more blocks than this looks before it works: it may be a streak, or lie behind pixels that are full.
+Below, the misprediction of that branch costs more than the work it saves."""
+
 EMPTY_TILES = 1 | 1 << 16  # left 1, right 0, top 1, bottom 0
 
 
