@@ -134,3 +134,41 @@ main()
     assert answer.returncode == 1
     assert "Traceback" in answer.stderr
     assert "ZeroDivisionError: a defect" in answer.stderr
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> dict[str, str]:
+    """Return an environment in which a plugin is installed whose module, and whose package of YAML, do not import."""
+    (tmp_path / "broken_slam").mkdir()
+    (tmp_path / "broken_slam" / "__init__.py").write_text("import a_module_that_is_not_there")
+    info = tmp_path / "broken_slam-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-slam\nVersion: 1.2\n")
+    points = "[xrdslam]\nbroken = broken_slam.plugin\n[xrdslam.conf]\nbroken = broken_slam.conf\n"
+    (info / "entry_points.txt").write_text(points)
+    return {"PYTHONPATH": str(tmp_path)}
+
+
+def test_a_broken_plugin_costs_one_warning_and_no_other_method(ask: Ask, broken: dict[str, str]) -> None:
+    answer = ask("algo=splatam", "dataset=replica/room0", "--cfg", "job", **broken)
+    assert answer.returncode == 0
+    assert answer.stderr.count("\n") == 1
+    for part in ("'broken'", "broken-slam 1.2", "a_module_that_is_not_there"):
+        assert part in answer.stderr
+
+
+def test_a_broken_plugin_is_listed_as_such_and_answers_with_its_cause(ask: Ask, broken: dict[str, str]) -> None:
+    assert "broken-slam 1.2" in ask("--help", **broken).stdout.partition("Broken plugins")[2]
+    answer = ask("algo=broken", "dataset=replica/room0", **broken)
+    assert answer.returncode == 1
+    assert "a_module_that_is_not_there" in answer.stderr.partition("xrdslam: ")[2]
+
+
+def test_a_sweep_runs_every_combination_into_folders_of_its_own(ask: Ask, tmp_path: Path) -> None:
+    small = ["algo=toy", "dataset=synthetic/room0", "dataset.frames=[0,2,1]", "dataset.size=[32,24]"]
+    answer = ask("-m", *small, "algo/tracking=toy,ground_truth", "seed=0,1", "engine.progress=false")
+    assert answer.returncode == 0, answer.stderr
+    configs = sorted(tmp_path.glob("outputs/sweeps/*/*/config.yaml"))
+    assert len(configs) == 4
+    assert all(f"run_dir: {path.parent}" in path.read_text() for path in configs)
+    assert not list(tmp_path.rglob(".hydra"))
