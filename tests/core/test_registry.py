@@ -70,6 +70,7 @@ def test_a_broken_plugin_raises_with_its_cause_when_it_is_asked_for(install: Ins
     ("source", "cause"),
     [
         ("raise SystemError('x')", "SystemError"),
+        ("raise SystemExit(0)", "SystemExit"),
         ("def f(:", "SyntaxError"),
         (GOOD.format(name="a").replace("return [", "return 3 or ["), "list of AlgorithmInfo"),
         (GOOD.format(name="a").replace("return [", "raise ValueError('late') or ["), "late"),
@@ -77,7 +78,16 @@ def test_a_broken_plugin_raises_with_its_cause_when_it_is_asked_for(install: Ins
         (GOOD.format(name="a").replace("algorithms()", "algorithms(self_made)"), "self_made"),
         (GOOD.format(name="a").replace("AlgorithmInfo", "DatasetInfo"), "list of AlgorithmInfo"),
     ],
-    ids=["raises", "does not parse", "returns no list", "hook raises", "misspelt", "wrong argument", "wrong record"],
+    ids=[
+        "raises",
+        "exits",
+        "does not parse",
+        "returns no list",
+        "hook raises",
+        "misspelt",
+        "wrong argument",
+        "wrong record",
+    ],
 )
 def test_whatever_a_plugin_does_wrong_is_found_at_discovery_and_is_its_own(
     install: Install, source: str, cause: str
@@ -88,6 +98,7 @@ def test_whatever_a_plugin_does_wrong_is_found_at_discovery_and_is_its_own(
     assert registry.algorithm("other").name == "other"
     assert cause in str(registry.broken["bad"])
     assert "a" not in registry.all(AlgorithmInfo)
+    registry.register(object(), "late 1.0")  # nothing of the bad one is left that would fail again
 
 
 def test_two_distributions_with_one_name_are_both_named_and_neither_is_taken(

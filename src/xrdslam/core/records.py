@@ -48,7 +48,7 @@ class Info:
         module, _, attribute = path.partition(":")
         try:
             return getattr(importlib.import_module(module), attribute)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PluginError(
                 f"{self.kind} {self.name!r} of {self.distribution or 'an unknown distribution'} cannot be loaded: "
                 f"importing {path!r} raised {type(error).__name__}: {error}"

@@ -34,7 +34,7 @@ class BrokenPlugin:
 
     name: str
     distribution: str
-    cause: Exception
+    cause: BaseException
 
     def __str__(self) -> str:
         return (
@@ -67,18 +67,19 @@ class Registry:
             distribution = f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
             try:
                 registry.register(point.load(), distribution)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 registry.refuse(BrokenPlugin(point.name, distribution, error))
         return registry
 
     def register(self, plugin: object, distribution: str) -> None:
         """Take in a module or object with hooks; raises before anything of it is taken in."""
-        self._manager.register(plugin)
         try:
+            self._manager.register(plugin)
             self._manager.check_pending()  # finds hooks whose names are misspelt
             records = list(_returned_records(self._manager, plugin))
-        except Exception:
-            self._manager.unregister(plugin)
+        except (Exception, SystemExit):
+            if self._manager.is_registered(plugin):
+                self._manager.unregister(plugin)
             raise
         self._distributions[plugin] = distribution
         for record in records:
