@@ -10,6 +10,8 @@ their lanes: `Vector` lowers to LLVM's `<16 x float>`, `Mask` to `<16 x i1>`. LL
 A scalar operand must be a numba float32 (a float32 array's element or a module-level `np.float32` constant): a Python
 float is float64 inside numba and is refused at compile time. Arrays are C-contiguous, `i` counts floats from the start.
 
+It is one long file because it is one thing, the vector type: each operation is a dozen lines that nobody reads twice.
+
 Numba's on-disk cache looks at the file of the *calling* kernel only: after an edit here, delete the `*.nbi` files.
 """
 

@@ -119,6 +119,16 @@ def test_a_changed_map_rebuilds_the_lists(scene: Scene, name: str) -> None:
         arguments[name].add_(0.05)
 
 
+def test_another_map_of_the_same_size_rebuilds_the_lists(scene: Scene) -> None:
+    """Freed memory is handed out again: the lists must not take the next tensor at an address for the last one."""
+    arguments, lists = scene(2000), TileLists()
+    for step in range(5):
+        arguments["means"] = (scene(2000, seed=step)["means"] * 1.0).contiguous()
+        again, _ = _render(arguments, arguments["T_camera_world"], lists)
+        assert torch.equal(again.rgb, _render(arguments, arguments["T_camera_world"], None)[0].rgb)
+        assert lists.num_builds == step + 1
+
+
 def test_changed_colours_need_no_new_lists(scene: Scene) -> None:
     arguments, lists = scene(), TileLists()
     _render(arguments, arguments["T_camera_world"], lists)

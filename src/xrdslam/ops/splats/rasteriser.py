@@ -12,7 +12,7 @@ from torch.autograd.function import once_differentiable
 from xrdslam.core.errors import ConfigError
 from xrdslam.ops.splats import backward, binning, forward, gradients, layout, projection
 from xrdslam.ops.splats.scratch import Scratch
-from xrdslam.ops.splats.tile_lists import BuiltLists, TileLists, identity
+from xrdslam.ops.splats.tile_lists import BuiltLists, MapKey, TileLists
 from xrdslam.ops.splats.types import FRUSTUM_CLAMP, PinholeLike, SplatRender
 from xrdslam.ops.threads import kernel_threads
 
@@ -197,9 +197,9 @@ def _project_again(
     return None if broken.any() else lists
 
 
-def _key(tensors: Sequence[Tensor], settings: _Settings) -> tuple[object, ...]:
+def _key(tensors: Sequence[Tensor], settings: _Settings) -> MapKey:
     means, log_scales, logits, _, _, quats = tensors
-    return identity(settings.camera, (settings.near, settings.lowpass), means, log_scales, logits, quats)
+    return MapKey.of(settings.camera, (settings.near, settings.lowpass), (means, log_scales, logits, quats))
 
 
 def _moments(

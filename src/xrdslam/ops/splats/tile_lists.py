@@ -1,10 +1,10 @@
 """Tile lists that outlive one render: tracking renders the same map some tens of times from nearly the same pose."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -12,7 +12,7 @@ from xrdslam.core.errors import ConfigError
 from xrdslam.ops.splats.scratch import Scratch
 from xrdslam.ops.splats.types import PinholeLike
 
-__all__ = ["BuiltLists", "TileLists"]
+__all__ = ["BuiltLists", "MapKey", "TileLists"]
 
 
 @dataclass
@@ -28,6 +28,31 @@ class BuiltLists:
     keys: np.ndarray
     num_slots: int
     is_sorted: bool = False
+
+
+@dataclass
+class MapKey:
+    """What must not change for lists to hold: the camera, the limits, and the tensors' memory and content.
+
+    The tensors are kept alive, so that no other can take their address meanwhile; colours need not be among them.
+    """
+
+    settings: tuple[float | int, ...]
+    tensors: tuple[Tensor, ...]
+    versions: tuple[int, ...]
+
+    @classmethod
+    def of(cls, camera: PinholeLike, limits: tuple[float, ...], tensors: Iterable[Tensor]) -> "MapKey":
+        """Remember tensors as they are now."""
+        intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+        kept = tuple(tensor.detach() for tensor in tensors)
+        return cls((*intrinsics, *limits), kept, tuple(tensor._version for tensor in kept))
+
+    def same_as(self, other: "MapKey") -> bool:
+        """Say whether two keys are of the same memory with the same content."""
+        pairs = list(zip(self.tensors, other.tensors, strict=True))
+        same_memory = all(a.data_ptr() == b.data_ptr() and a.shape == b.shape for a, b in pairs)
+        return same_memory and self.versions == other.versions and self.settings == other.settings
 
 
 @dataclass
@@ -52,7 +77,7 @@ class TileLists:
     num_renders: int = 0
     _built: BuiltLists | None = field(default=None, repr=False)
     _pose: Float[np.ndarray, "4 4"] | None = field(default=None, repr=False)
-    _key: tuple[object, ...] = field(default=(), repr=False)
+    _key: MapKey | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         limits = (self.margin_px, self.max_rotation, self.max_translation)
@@ -60,26 +85,19 @@ class TileLists:
             raise ConfigError(f"tile lists with margin_px, max_rotation, max_translation = {limits}: need finite, >= 0")
 
     def clear(self) -> None:
-        """Forget the lists: the next render builds new ones."""
-        self._built = None
+        """Forget the lists, and let go of the map: the next render builds new ones."""
+        self._built = self._key = None
 
-    def held(self, key: tuple[object, ...], T_camera_world: Float[np.ndarray, "4 4"]) -> BuiltLists | None:
+    def held(self, key: MapKey, T_camera_world: Float[np.ndarray, "4 4"]) -> BuiltLists | None:
         """Return the lists if they are of the same map and camera and of a pose near enough."""
-        if self._built is None or self._pose is None or key != self._key:
+        if self._built is None or self._pose is None or self._key is None or not key.same_as(self._key):
             return None
         motion = T_camera_world.astype(np.float64) @ np.linalg.inv(self._pose)
         angle = np.linalg.norm(motion[:3, :3] - np.eye(3), 2)  # 2 sin(angle / 2): what bounds a point's motion
         near_enough = angle <= self.max_rotation and np.linalg.norm(motion[:3, 3]) <= self.max_translation
         return self._built if near_enough else None
 
-    def keep(self, key: tuple[object, ...], T_camera_world: Float[np.ndarray, "4 4"], built: BuiltLists) -> None:
+    def keep(self, key: MapKey, T_camera_world: Float[np.ndarray, "4 4"], built: BuiltLists) -> None:
         """Hold new lists."""
         self._key, self._pose, self._built = key, T_camera_world.astype(np.float64), built
         self.num_builds += 1
-
-
-def identity(camera: PinholeLike, limits: tuple[float, ...], *tensors: Tensor | None) -> tuple[object, ...]:
-    """Return what must not change for lists to hold: camera, limits, and the tensors' memory and version."""
-    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-    seen = [(t.data_ptr(), t._version, tuple(t.shape)) for t in tensors if isinstance(t, torch.Tensor)]
-    return (intrinsics, limits, *seen)
