@@ -6,7 +6,7 @@ READY := $(VENV)/ready
 PORTIONS := . $(patsubst %/pyproject.toml,%,$(wildcard plugins/*/pyproject.toml examples/*/pyproject.toml))
 # More than one thread of tests, each with one thread of its own.
 TEST_ARGS ?= -n 2 --dist loadscope
-DEMO_ARGS ?= algo=splatam dataset=synthetic/room0
+DEMO_ARGS ?= algo=splatam dataset=synthetic/room0 preset=fast
 export OMP_WAIT_POLICY ?= passive
 export NUMBA_THREADING_LAYER ?= omp
 

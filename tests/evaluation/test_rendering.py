@@ -170,7 +170,7 @@ def test_frames_without_a_pose_are_not_rendered() -> None:
 
 def test_a_dataset_is_read_only_where_needed() -> None:
     class Sequence(Dataset[Shot]):
-        read: list[int] = []  # noqa: RUF012  # one instance
+        read: list[int] = []  # one instance
 
         def __getitem__(self, index: int) -> Shot:
             self.read.append(index)
