@@ -12,7 +12,7 @@ export NUMBA_THREADING_LAYER ?= omp
 
 .PHONY: help demo test bench lint clean
 help:
-	@echo "make demo    SplaTAM on a synthetic room: a trajectory, a map and a report in outputs/demo"
+	@echo "make demo    SplaTAM on a synthetic room: trajectory, map and figures in outputs/demo"
 	@echo "make test    every test of the core, the plugins and the example"
 	@echo "make bench   measured workloads against the committed baseline"
 	@echo "make lint    ruff and mypy"
