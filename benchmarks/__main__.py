@@ -45,7 +45,7 @@ def environment() -> dict[str, object]:
 def table(metrics: list[Metric], baseline: list[Metric]) -> Table:
     """Lay the figures out beside the baseline's."""
     before = {metric.key: metric.value for metric in baseline}
-    rows = Table(Column("figure", no_wrap=True), "value", "baseline", "unit", "better is")
+    rows = Table(*(Column(name, no_wrap=True) for name in ("figure", "value", "baseline", "unit", "better is")))
     for metric in metrics:
         base = f"{before[metric.key]:.4g}" if metric.key in before else "-"
         rows.add_row(metric.key, f"{metric.value:.4g}", base, metric.unit, metric.direction)
@@ -64,6 +64,7 @@ def main() -> int:
     groups = options.groups or list(GROUPS)
     metrics = [metric for group in groups for metric in GROUPS[group]()]
     baseline, console = read_baseline(BASELINE), Console()
+    console.width = max(console.width, 110)  # a key cut short is no key
     console.print(table(metrics, baseline))
     if options.update:
         kept = [metric for metric in baseline if metric.key.split("/")[0] not in groups]

@@ -46,8 +46,8 @@ class _Workload:
 
     def mapping(self, backend: Backend) -> None:
         """Render and differentiate by everything but the pose."""
-        leaves = [t.detach().requires_grad_() for t in self.map]
-        rendered = render(*leaves, torch.eye(4), self.camera, backend=backend)
+        means, log_scales, logits, colors = (t.detach().requires_grad_() for t in self.map)
+        rendered = render(means, log_scales, logits, colors, torch.eye(4), self.camera, backend=backend)
         torch.autograd.backward(list(rendered), self.cotangents)
 
     def tracking(self) -> None:

@@ -45,30 +45,16 @@ from xrdslam.ops.splats.forward import (
 )
 from xrdslam.ops.splats.layout import f32
 
+_SLOTS_AHEAD = 3  # less than `_AHEAD`: finding the slot reads the record
 STATE = 7 * layout.LANES
 """Floats of state per block: transmittance, total behind, cotangents of opacity, red, green, blue, depth."""
 
 
 @parallel_kernel
 def tile_gradients(
-    workers,
-    width,
-    height,
-    with_color,
-    records,
-    offsets,
-    entries,
-    stops,
-    next_tile,
-    state,
-    rgb,
-    depth,
-    opacity,
-    d_rgb,
-    d_depth,
-    d_opacity,
-    moments,
-):
+    workers, width, height, with_color, records, offsets, entries, stops, next_tile, state, rgb, depth,
+    opacity, d_rgb, d_depth, d_opacity, moments,
+):  # fmt: skip
     """Fill the gradient slots of all Gaussians in all tiles; without `with_color` those of the colours stay zero."""
     tiles = offsets.shape[0] - 1
     tiles_x = (width + layout.TILE - 1) // layout.TILE
@@ -151,6 +137,8 @@ def _replay(with_color, records, entries, start, stop, tile_x, tile_y, state, mo
     left, top = tile_x * layout.TILE, tile_y * layout.TILE
     for e in range(start, stop):
         prefetch(records, np.int64(entries[min(e + _AHEAD, stop - 1)]) * layout.RECORD)
+        ahead = entries[min(e + _SLOTS_AHEAD, stop - 1)]
+        prefetch(moments, _slot(records, ahead, tile_x, tile_y) * layout.RECORD)
         i = entries[e]
         slot = _slot(records, i, tile_x, tile_y) * layout.RECORD
         px, py = bits[i, layout.PIXELS_X], bits[i, layout.PIXELS_Y]

@@ -47,23 +47,9 @@ STATE = 5 * layout.LANES
 
 @parallel_kernel
 def render_tiles(
-    workers,
-    width,
-    height,
-    records,
-    offsets,
-    is_sorted,
-    keys,
-    spare,
-    entries,
-    stops,
-    next_tile,
-    state,
-    histograms,
-    rgb,
-    depth,
-    opacity,
-):
+    workers, width, height, records, offsets, is_sorted, keys, spare, entries, stops, next_tile, state,
+    histograms, rgb, depth, opacity,
+):  # fmt: skip
     """Sort (unless sorted already) and composite every tile; `stops` gets where in its list each tile was full."""
     tiles = offsets.shape[0] - 1
     tiles_x = (width + layout.TILE - 1) // layout.TILE

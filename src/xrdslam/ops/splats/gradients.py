@@ -35,24 +35,9 @@ _OUT = 224
 
 @parallel_kernel
 def gaussian_gradients(
-    view,
-    means,
-    log_scales,
-    opacity_logits,
-    quats,
-    chunk,
-    pose_only,
-    candidates,
-    counts,
-    slots,
-    moments,
-    d_means,
-    d_log_scales,
-    d_logits,
-    d_colors,
-    d_quats,
-    d_pose,
-):
+    view, means, log_scales, opacity_logits, quats, chunk, pose_only, candidates, counts, slots, moments,
+    d_means, d_log_scales, d_logits, d_colors, d_quats, d_pose,
+):  # fmt: skip
     """Sum each Gaussian's slots and carry them to its parameters; `d_pose` gets one row of sums per chunk.
 
     With `pose_only` the map's gradients are left alone; otherwise those of Gaussians that are not seen become zero.

@@ -174,21 +174,9 @@ def _load_colors(colors, candidates, j, last, lanes):
 
 @kernel
 def _project_chunk(
-    view,
-    width,
-    height,
-    means,
-    log_scales,
-    opacity_logits,
-    colors,
-    quats,
-    candidates,
-    first,
-    count,
-    records,
-    lanes,
-    color_lanes,
-):
+    view, width, height, means, log_scales, opacity_logits, colors, quats, candidates, first, count, records,
+    lanes, color_lanes,
+):  # fmt: skip
     """Write the records of a chunk's candidates; the last batch may write past them, within the chunk."""
     last = first + count - 1
     isotropic = log_scales.shape[1] == 1
@@ -210,22 +198,9 @@ def _tile_box(wide_x, wide_y):
 
 @parallel_kernel
 def project_fresh(
-    view,
-    width,
-    height,
-    means,
-    log_scales,
-    opacity_logits,
-    colors,
-    quats,
-    chunk,
-    candidates,
-    counts,
-    records,
-    slots,
-    tile_counts,
-    slot_counts,
-):
+    view, width, height, means, log_scales, opacity_logits, colors, quats, chunk, candidates, counts, records,
+    slots, tile_counts, slot_counts,
+):  # fmt: skip
     """Write the candidates' records and tile boxes, and count how many Gaussians each tile gets.
 
     `slots` gets each Gaussian's first slot, counted from its chunk's first, and its tiles.
@@ -265,21 +240,9 @@ def project_fresh(
 
 @parallel_kernel
 def project_again(
-    view,
-    width,
-    height,
-    means,
-    log_scales,
-    opacity_logits,
-    colors,
-    quats,
-    chunk,
-    candidates,
-    counts,
-    slots,
-    records,
-    broken,
-):
+    view, width, height, means, log_scales, opacity_logits, colors, quats, chunk, candidates, counts, slots,
+    records, broken,
+):  # fmt: skip
     """Write the records of Gaussians whose tile lists exist; `broken` marks chunks where a footprint left its tiles."""
     bits = records.view(np.int32)
     for c in prange(counts.shape[0]):
