@@ -1,11 +1,12 @@
 """What a map looks like from outside: triangle meshes and point clouds, and their files."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+
+from xrdslam.core.files import replaced
 
 __all__ = ["PointCloud", "TriangleMesh", "write_ply"]
 
@@ -54,6 +55,7 @@ def write_ply(path: Path, tables: dict[str, np.ndarray]) -> None:
     """Write structured arrays as the elements of a binary little-endian PLY; the file appears whole or not at all."""
     from plyfile import PlyData, PlyElement  # type: ignore[import-untyped]  # ships no stubs
 
-    part = path.with_name(path.name + ".part")
-    PlyData([PlyElement.describe(table, name) for name, table in tables.items()], byte_order="<").write(str(part))
-    os.replace(part, path)
+    with replaced(path) as temporary:
+        PlyData([PlyElement.describe(table, name) for name, table in tables.items()], byte_order="<").write(
+            str(temporary)
+        )

@@ -15,19 +15,13 @@ from torch import Tensor
 
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import RunError
+from xrdslam.core.files import write_text
 from xrdslam.core.geometry import so3
 from xrdslam.engine.build import settings_of
 
-__all__ = ["RunDirectory", "write_text"]
+__all__ = ["RunDirectory"]
 
 REPORTED = ("xrdslam", "torch", "numpy", "numba", "hydra-core", "opencv-python-headless", "scikit-image", "small_gicp")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text)
-    os.replace(part, path)
 
 
 class RunDirectory:

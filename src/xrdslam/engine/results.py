@@ -9,9 +9,9 @@ import torch
 from safetensors.torch import save_file
 
 from xrdslam.core.errors import XrdslamError
+from xrdslam.core.files import replaced, write_text
 from xrdslam.core.model import View
 from xrdslam.engine.context import Run
-from xrdslam.engine.directory import write_text
 from xrdslam.evaluation import EvalMetrics, Metrics, Trajectories
 
 __all__ = ["evaluate", "save_map", "save_trajectories"]
@@ -59,9 +59,8 @@ def save_map(run: Run) -> None:
 def _save_state(path: Path, model: torch.nn.Module) -> None:
     tensors: dict[str, torch.Tensor] = model.state_dict()
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    part = path.with_name(path.name + ".part")
-    save_file(state, part)
-    part.replace(path)
+    with replaced(path) as temporary:
+        save_file(state, temporary)
 
 
 def evaluate(run: Run, with_rendering: bool = True) -> Metrics:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xrdslam.core.errors import XrdslamError
+from xrdslam.core.files import replaced
 from xrdslam.core.model import Rendering
 from xrdslam.evaluation.comparison import side_by_side
 from xrdslam.evaluation.config import EvaluationConfig
@@ -237,8 +238,7 @@ def _array(image: Tensor) -> NDArray[np.float32]:
 
 
 def _write_rows(path: Path, rows: Sequence[FrameRow]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replaced(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [field.name for field in dataclasses.fields(FrameRow)])
         writer.writeheader()
         writer.writerows(dataclasses.asdict(row) for row in rows)

@@ -8,12 +8,11 @@ A number that is not defined or not finite is `null`, never NaN (no JSON), and i
 
 import json
 import math
-import os
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from xrdslam.core.files import write_text
 from xrdslam.evaluation.errors import EvaluationError
 
 __all__ = ["JsonValue", "MetricGroup", "Metrics", "assemble", "write_metrics"]
@@ -72,15 +71,4 @@ def write_metrics(path: Path, metrics: Mapping[str, JsonValue]) -> None:
         text = json.dumps(metrics, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     except ValueError as error:
         raise EvaluationError(f"{path}: a metric is NaN or infinite; it must be null, with a reason") from error
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)  # mkstemp makes it private
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_text(path, text)

@@ -3,7 +3,6 @@
 Drawn with matplotlib's objects (no pyplot, no global state, no window).
 """
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from xrdslam.core.files import replaced
 from xrdslam.evaluation.trajectory import Poses, TrajectoryError
 
 __all__ = ["trajectory_figure", "write_figure"]
@@ -29,13 +29,8 @@ Centres = Float64[NDArray[np.float64], "n 3"]
 
 def write_figure(figure: Figure, path: Path) -> None:
     """Write a PNG; its folder is made, an older file replaced at once."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
+    with replaced(path) as temporary:
         figure.savefig(temporary, format="png")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def trajectory_figure(

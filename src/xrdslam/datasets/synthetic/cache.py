@@ -9,12 +9,13 @@ import io
 import logging
 import os
 import sys
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from xrdslam.core.files import write_bytes
 
 __all__ = ["ArrayCache", "content_key", "user_cache_folder"]
 
@@ -75,7 +76,7 @@ class ArrayCache:
         np.savez(stream, allow_pickle=False, **arrays)
         payload = stream.getvalue()
         try:
-            write_atomically(self._path(key), hashlib.blake2b(payload, digest_size=DIGEST).digest() + payload)
+            write_bytes(self._path(key), hashlib.blake2b(payload, digest_size=DIGEST).digest() + payload)
         except OSError as error:
             log.warning("nothing is cached: %s; set XRDSLAM_CACHE to a folder that can be written", error)
             self.folder = None
@@ -83,16 +84,3 @@ class ArrayCache:
     def _path(self, key: str) -> Path:
         assert self.folder is not None
         return self.folder / key[:2] / f"{key}.cache"
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that no reader ever sees a part of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".part-")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

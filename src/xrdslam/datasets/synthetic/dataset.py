@@ -12,8 +12,9 @@ from torch import Tensor
 from xrdslam.core.camera import Camera
 from xrdslam.core.dataset import Dataset, Modality
 from xrdslam.core.errors import ConfigError
+from xrdslam.core.files import write_bytes
 from xrdslam.core.frame import Frame
-from xrdslam.datasets.synthetic.cache import ArrayCache, content_key, user_cache_folder, write_atomically
+from xrdslam.datasets.synthetic.cache import ArrayCache, content_key, user_cache_folder
 from xrdslam.datasets.synthetic.config import SyntheticConfig
 from xrdslam.datasets.synthetic.lighting import LightingConfig, bake, light_up
 from xrdslam.datasets.synthetic.mesh import ply_bytes, scene_mesh
@@ -77,7 +78,7 @@ class SyntheticDataset(Dataset):
         """The room's surface at 2 cm as a coloured PLY file in the cache folder, made when first asked for."""
         path = user_cache_folder() / "synthetic" / f"{self.scene.name}-{self._light_key}.ply"
         if not path.is_file():
-            write_atomically(path, ply_bytes(scene_mesh(self.world)))
+            write_bytes(path, ply_bytes(scene_mesh(self.world)))
         return path
 
     @cached_property
