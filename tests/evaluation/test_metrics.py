@@ -69,7 +69,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_litter(tmp_path: Path, mo
     path = tmp_path / "metrics.json"
     write_metrics(path, {"a": 1})
 
-    def full(descriptor: int) -> None:
+    def full(*_: object) -> None:
         raise OSError("no space left")
 
     monkeypatch.setattr("os.replace", full)

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from xrdslam.core.config import RunConfig
+from xrdslam.core.errors import XrdslamError
 from xrdslam.core.registry import Registry, installed
 from xrdslam.engine.build import build_algorithm, build_dataset, resolve_device
 from xrdslam.engine.context import Run
@@ -70,8 +71,10 @@ def _carry_out(this: Run) -> RunSummary:
     except KeyboardInterrupt:
         was_interrupted = True
         log.warning("interrupted after %d frames; saving what there is", len(this.algorithm.trajectory))
-    except Exception:
-        log.exception("the run failed after %d frames; saving what there is", len(this.algorithm.trajectory))
+    except Exception as error:
+        done = len(this.algorithm.trajectory)
+        trace = not isinstance(error, XrdslamError)  # what a user can mend needs no traceback
+        log.error("the run failed after %d frames (%s); saving what there is", done, error, exc_info=trace)
         _save(this)
         raise
     _save(this)
