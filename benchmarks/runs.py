@@ -71,12 +71,12 @@ def kernel_ms(width: int = 320, height: int = 240, rounds: int = 15) -> float:
     means = camera.unproject(camera.pixels(), depth).reshape(-1, 3)
     log_scales = (depth.reshape(-1, 1) / camera.fx).log()
     parameters = (means, log_scales, torch.zeros(len(means), 1), torch.rand(len(means), 3, generator=_seed()))
-    leaves = [parameter.requires_grad_() for parameter in parameters]
+    means, log_scales, opacity_logits, colors = (parameter.requires_grad_() for parameter in parameters)
     times = []
     for _ in range(rounds):
         start = time.perf_counter()
-        image = splats.render(*leaves, torch.eye(4), camera)
-        (image.rgb.sum() + image.depth.sum()).backward()
+        image = splats.render(means, log_scales, opacity_logits, colors, torch.eye(4), camera)
+        torch.autograd.backward([image.rgb.sum() + image.depth.sum()])
         times.append(1e3 * (time.perf_counter() - start))
     return statistics.median(times)
 
