@@ -244,3 +244,15 @@ def test_the_log_handler_goes_with_the_run(tmp_path: Path, registry: Registry) -
     before = list(logging.getLogger().handlers)
     run(config_of(), tmp_path, registry)
     assert logging.getLogger().handlers == before
+
+
+def test_an_interruption_before_the_first_frame_is_no_fault(
+    tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ToySequence, "__getitem__", interrupt)
+    summary = run(config_of(), tmp_path, registry)
+    assert summary.exit_status == 130
+    assert summary.metrics == {}

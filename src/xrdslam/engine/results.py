@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors.torch import save_file
+from torch import Tensor
 
+from xrdslam.core.camera import Camera
 from xrdslam.core.errors import XrdslamError
 from xrdslam.core.files import replaced, write_text
-from xrdslam.core.model import View
+from xrdslam.core.model import Rendering, View
 from xrdslam.engine.context import Run
 from xrdslam.evaluation import EvalMetrics, Metrics, Trajectories
 
@@ -74,6 +76,10 @@ def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
         is_lost=trajectory.is_lost.numpy(),
         indices=trajectory.indices,
     )
+
+    def render(camera: Camera, T_world_camera: Tensor) -> Rendering:
+        return model.render(camera, T_world_camera.to(run.device))
+
     renders = with_rendering and model.size > 0 and model.supports("render")
     protocol = {
         "wall": "from the first frame's reading to the end of the last refinement; evaluation and files excluded",
@@ -83,5 +89,5 @@ def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
         "preset": run.config.preset,
     }
     return EvalMetrics(run.config.evaluation).evaluate(
-        poses, model.render if renders else None, run.dataset, run.profile.metrics(), protocol, run.directory.path
+        poses, render if renders else None, run.dataset, run.profile.metrics(), protocol, run.directory.path
     )

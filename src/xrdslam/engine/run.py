@@ -78,7 +78,7 @@ def _carry_out(this: Run) -> RunSummary:
         _save(this)
         raise
     _save(this)
-    metrics = evaluate(this, with_rendering=not was_interrupted)
+    metrics = evaluate(this, with_rendering=not was_interrupted) if len(this.algorithm.trajectory) else {}
     this.registry.notify("xrdslam_run_finished", run=this, metrics=metrics)
     return RunSummary(metrics, this.directory.path, was_interrupted)
 
