@@ -20,8 +20,8 @@ def replaced(path: Path) -> Iterator[Path]:
     os.close(handle)
     temporary = Path(name)
     try:
-        temporary.chmod(0o644)  # mkstemp makes it private
         yield temporary
+        temporary.chmod(0o644)  # mkstemp makes it private, and so may whoever writes it
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
