@@ -207,7 +207,11 @@ def test_a_lost_frame_keeps_its_prediction_is_counted_and_is_not_mapped(
 @pytest.mark.parametrize("seed", range(4))  # the stream of the mapper decides between SIGINT and SIGTERM
 def test_an_interrupted_run_saves_what_there_is_and_says_so(tmp_path: Path, registry: Registry, seed: int) -> None:
     assert threading.current_thread() is threading.main_thread()
-    summary = run(config_of(mapping="interrupted", seed=seed), tmp_path, registry)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore SIGINT
+    try:
+        summary = run(config_of(mapping="interrupted", seed=seed), tmp_path, registry)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert summary.was_interrupted
     assert summary.exit_status == 130
     assert len((tmp_path / "trajectory/online.txt").read_text().splitlines()) == 1 + 4
