@@ -1,11 +1,20 @@
 """Buffers come back to the pool, whenever a destructor chooses to run."""
 
 import threading
+from collections import deque
 
 import numpy as np
+import pytest
 
 from xrdslam.ops.splats import scratch
 from xrdslam.ops.splats.scratch import Scratch
+
+
+@pytest.fixture(autouse=True)
+def _empty_pool(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Start from a pool of nothing: what other tests left in it decides which buffer fits."""
+    monkeypatch.setattr(scratch, "_free", [])
+    monkeypatch.setattr(scratch, "_returned", deque())
 
 
 def test_a_buffer_is_used_again() -> None:
