@@ -101,6 +101,19 @@ def test_pruning_keeps_moments_with_their_rows(first_frame: Frame) -> None:
     assert torch.equal(optimiser.moments(model.colors)["exp_avg"], moments[kept])
 
 
+@pytest.mark.parametrize(("eps", "share_of_rate"), [(1e-8, 1e-4), (1e-15, 0.999)])
+def test_what_a_view_barely_touches_stays_where_it_is(first_frame: Frame, eps: float, share_of_rate: float) -> None:
+    """Adam's first step is lr g / (|g| + eps): a gradient of 1e-12 moves by a ten-thousandth of the rate, not all."""
+    model = map_of(first_frame, adam_eps=eps)
+    before = model.means.detach().clone()
+    optimiser = GroupedOptimiser(model.parameter_groups())
+    model.means.grad = torch.full_like(model.means, 1e-12)
+    optimiser.step(0)
+    moved = (before - model.means.detach()).double().abs().max() / model.config.lr_means
+    assert moved <= 1.01 * share_of_rate + 3e-3  # a mean of 2.5 m is rounded to 2.4e-7 m, 2.4e-3 of the rate
+    assert moved >= share_of_rate - 3e-3
+
+
 @pytest.mark.parametrize("anisotropic", [False, True])
 def test_state_goes_into_an_empty_map_and_comes_out_the_same(world: Any, first_frame: Frame, anisotropic: bool) -> None:
     model = map_of(first_frame, anisotropic=anisotropic)

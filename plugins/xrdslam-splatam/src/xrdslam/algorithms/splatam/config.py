@@ -29,6 +29,9 @@ class SplatamMapConfig:
     lr_colors: float = 2.5e-3
     lr_quats: float = 1e-3
     """Moves nothing while Gaussians are isotropic."""
+    adam_eps: float = 1e-8
+    """Adam's epsilon. The released 1e-15 moves every Gaussian at the full rate, however small its gradient: those that
+    a view barely touches drift, and with them what earlier frames looked like."""
     weight_depth: float = 1.0
     weight_color: float = 0.5
     weight_ssim: float = 0.2
@@ -47,7 +50,7 @@ class SplatamMapConfig:
     """Rendered depth enters the mesh where the map explains a pixel more than this."""
 
     def __post_init__(self) -> None:
-        for name in ("near_m", "densify_depth_factor", "prune_scale", "scene_radius_ratio", "mesh_voxel_m"):
+        for name in ("adam_eps", "near_m", "densify_depth_factor", "prune_scale", "scene_radius_ratio", "mesh_voxel_m"):
             require(getattr(self, name) > 0, f"algo.map.{name}", getattr(self, name), "be positive")
         for name in ("lr_means", "lr_scales", "lr_opacities", "lr_colors", "lr_quats", "lowpass_px2"):
             require(getattr(self, name) >= 0, f"algo.map.{name}", getattr(self, name), "not be negative")

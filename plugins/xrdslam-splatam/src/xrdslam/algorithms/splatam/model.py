@@ -104,7 +104,7 @@ class GaussianMap(Model):
         }
         if self.config.anisotropic:
             rates["quats_wxyz"] = self.config.lr_quats
-        return [ParameterGroup(name, [getattr(self, name)], lr, eps=1e-15) for name, lr in rates.items()]
+        return [ParameterGroup(name, [getattr(self, name)], lr, eps=self.config.adam_eps) for name, lr in rates.items()]
 
     @torch.no_grad()
     def extend(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> int:
