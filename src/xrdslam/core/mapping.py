@@ -90,7 +90,8 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
         added = model.extend(frame, frame.pose.matrix().detach())
         optimum = self.optimise(problem)
         moved = self.movable(problem)
-        poses = {f.index: f.pose.matrix().detach() for f in moved}
+        # Where keyframes moved, the frame is named too, for it would else be carried along by its keyframe.
+        poses = {f.index: f.pose.matrix().detach() for f in ([*moved, frame] if moved else [])}
         return MappingResult(optimum.iterations, float(optimum.loss), added, poses)
 
     def select(self, frame: Frame, keyframes: Sequence[Frame]) -> list[Frame]:

@@ -39,8 +39,8 @@ class HashGridLayout:
     def __post_init__(self) -> None:
         if self.finest < self.base or self.levels < 1 or self.features != 2 or not 3 <= self.log2_rows <= 30:
             raise ConfigError(
-                f"hash grid of {self.levels} levels from {self.base} to {self.finest} vertices, 2^{self.log2_rows} rows "
-                f"of {self.features}: the finest level must not be coarser than the first, rows lie between 2^3 and "
+                f"hash grid of {self.levels} levels from {self.base} to {self.finest} vertices, 2^{self.log2_rows} rows"
+                f" of {self.features}: the finest level must not be coarser than the first, rows lie between 2^3 and "
                 "2^30 and have 2 features"
             )
 
@@ -91,10 +91,8 @@ class HashGridLayout:
         r, first = int(self.resolutions[level]), int(self.offsets[level])
         count = int(self.offsets[level + 1]) - first
         x, y, z = vertices.unbind(-1)
-        if r**3 <= count:
-            index = x + y * r + z * r * r
-        else:
-            index = (x * PRIMES[0]) ^ (y * PRIMES[1]) ^ (z * PRIMES[2])
+        hashed = (x * PRIMES[0]) ^ (y * PRIMES[1]) ^ (z * PRIMES[2])
+        index = x + y * r + z * r * r if r**3 <= count else hashed
         return first + (index & 0xFFFFFFFF) % count
 
 

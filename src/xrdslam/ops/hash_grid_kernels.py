@@ -28,7 +28,9 @@ def _place(u: np.float32, scale: np.float32) -> tuple[np.int32, np.float32]:
 
 
 @inline_kernel
-def _row(x: np.int32, y: np.int32, z: np.int32, r: np.int64, count: np.int64, is_dense: bool, is_power: bool) -> np.int64:
+def _row(
+    x: np.int32, y: np.int32, z: np.int32, r: np.int64, count: np.int64, is_dense: bool, is_power: bool
+) -> np.int64:
     """Return the row of a vertex within its level."""
     if is_dense:
         index = np.uint32(np.int64(x) + np.int64(y) * r + np.int64(z) * r * r)

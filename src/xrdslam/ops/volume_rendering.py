@@ -35,9 +35,7 @@ class Composite(NamedTuple):
     """Sum of the weights."""
 
 
-def composite(
-    weights: Float[Tensor, "n s"], rgb: Float[Tensor, "n s 3"], depths: Float[Tensor, "n s"]
-) -> Composite:
+def composite(weights: Float[Tensor, "n s"], rgb: Float[Tensor, "n s 3"], depths: Float[Tensor, "n s"]) -> Composite:
     """Sum under weights: C = sum w c, D = sum w z, V = sum w (z - D)^2. Differentiable in weights and rgb."""
     if _on_cpu(weights, rgb, depths):
         return Composite(*_Composite.apply(weights, rgb, depths))  # type: ignore[no-untyped-call]  # torch

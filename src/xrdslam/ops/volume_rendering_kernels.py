@@ -1,11 +1,11 @@
-"""Volume rendering on the CPU: rays in parallel, each by one thread, so that bits do not depend on how many there are."""
+"""Volume rendering on the CPU: rays in parallel, each by one thread, so that bits do not depend on their number."""
 
 import math
 
 import numba
 import numpy as np
 
-from xrdslam.ops.simd import parallel_kernel
+from xrdslam.ops.simd import inline_kernel, parallel_kernel
 
 __all__ = [
     "bell_weights",
@@ -155,8 +155,8 @@ def stop_weights_backward(
             behind += w * g
 
 
-@numba.njit(inline="always", cache=True)  # type: ignore[untyped-decorator]  # numba
-def _sigmoid(x: float) -> float:
+@inline_kernel
+def _sigmoid(x: np.float32) -> np.float32:
     """Return 1 / (1 + exp(-x)) without overflow."""
     power = math.exp(-abs(x))
     return np.float32(1 / (1 + power)) if x >= 0 else np.float32(power / (1 + power))

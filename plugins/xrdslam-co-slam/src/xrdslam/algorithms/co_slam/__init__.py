@@ -1,0 +1,1 @@
+"""Co-SLAM for xrdslam."""

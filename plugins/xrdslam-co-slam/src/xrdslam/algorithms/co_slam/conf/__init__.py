@@ -1,0 +1,1 @@
+"""Hydra configuration of Co-SLAM: what other datasets and presets change."""
