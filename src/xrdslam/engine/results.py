@@ -80,6 +80,8 @@ def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
     def render(camera: Camera, T_world_camera: Tensor) -> Rendering:
         return model.render(camera, T_world_camera.to(run.device))
 
+    estimate, true_mesh = run.directory.map / "mesh.ply", run.dataset.ground_truth_mesh
+    surfaces = (estimate, true_mesh) if true_mesh is not None and estimate.is_file() else None
     renders = with_rendering and model.size > 0 and model.supports("render")
     protocol = {
         "wall": "from the first frame's reading to the end of the last refinement; evaluation and files excluded",
@@ -89,5 +91,5 @@ def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
         "preset": run.config.preset,
     }
     return EvalMetrics(run.config.evaluation).evaluate(
-        poses, render if renders else None, run.dataset, run.profile.metrics(), protocol, run.directory.path
+        poses, render if renders else None, run.dataset, run.profile.metrics(), protocol, run.directory.path, surfaces
     )

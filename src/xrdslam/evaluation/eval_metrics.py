@@ -21,6 +21,8 @@ from xrdslam.evaluation.config import EvaluationConfig
 from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.metrics import MetricGroup, Metrics, assemble, write_metrics
 from xrdslam.evaluation.plots import trajectory_figure, write_figure
+from xrdslam.evaluation.reconstruction import MEASURES as SURFACE_MEASURES
+from xrdslam.evaluation.reconstruction import DepthView, compare_surfaces
 from xrdslam.evaluation.rendering import (
     MEASURES,
     EvaluatedFrame,
@@ -28,8 +30,10 @@ from xrdslam.evaluation.rendering import (
     Frames,
     Render,
     RenderingMetrics,
+    picked,
     rendered_frames,
 )
+from xrdslam.evaluation.surface_files import read_mesh
 from xrdslam.evaluation.trajectory import (
     AnyPoses,
     Poses,
@@ -100,12 +104,13 @@ class EvalMetrics:
         profile: Mapping[str, float] | None = None,
         profile_protocol: Mapping[str, str] | None = None,
         run_dir: Path | None = None,
+        surfaces: tuple[Path, Path] | None = None,
     ) -> Metrics:
         """Return the flat metrics; with `run_dir` also write metrics.json, pictures and a row for every compared frame.
 
         `render(camera, T_world_camera)` is the map's view (None: it has none); `frames` are the photographs, of which
-        a Dataset is read only where needed. Nothing that cannot be measured stops the rest: it becomes null with its
-        reason.
+        a Dataset is read only where needed; `surfaces` are the files of the estimated and the true mesh. Nothing that
+        cannot be measured stops the rest: it becomes null with its reason.
         """
         groups = [
             self._trajectory_group("online", trajectories.online, trajectories, run_dir),
@@ -114,6 +119,8 @@ class EvalMetrics:
         ]
         if render is not None:
             groups.append(self._rendering_group(render, frames, trajectories, run_dir))
+        if surfaces is not None and self.config.mesh_samples:
+            groups.append(self._reconstruction_group(*surfaces, frames, trajectories))
         if profile:
             groups.append(_profile_group(profile, profile_protocol or {}))
         metrics = assemble(groups)
@@ -173,6 +180,43 @@ class EvalMetrics:
             index % self.config.every == 0 and not ok for index, ok in zip(poses, finite.tolist(), strict=True)
         )
         return group
+
+    def _reconstruction_group(
+        self, estimate: Path, truth: Path, frames: Frames, trajectories: Trajectories
+    ) -> MetricGroup:
+        config = self.config
+        group = MetricGroup(
+            "reconstruction",
+            {
+                "culling": "samples of both surfaces that a frame saw: in its image, on measured depth, not behind it",
+                "cull_every": config.cull_every,
+                "cull_margin_m": config.cull_margin_m,
+                "samples": config.mesh_samples,
+                "alignment": "the trajectory's SE(3); no ICP",
+                "seed": 0,
+            },
+        )
+        try:
+            if trajectories.ground_truth is None:
+                raise EvaluationError("the sequence has no ground-truth trajectory to align by")
+            ate = absolute_trajectory_error(trajectories.final, trajectories.ground_truth, "se3")
+            views = _depth_views(frames, trajectories.ground_truth, trajectories.frame_indices, config.cull_every)
+            meshes = read_mesh(estimate), read_mesh(truth)
+            compare_surfaces(*meshes, views, ate.alignment, config.mesh_samples, config.cull_margin_m).add_to(group)
+        except XrdslamError as error:
+            group.refuse(SURFACE_MEASURES, str(error))
+        return group
+
+
+def _depth_views(frames: Frames, truth: AnyPoses, indices: Sequence[int], every: int) -> list[DepthView]:
+    """Return every n-th frame's depth with its true pose."""
+    poses = dict(zip(indices, np.asarray(truth, dtype=np.float64), strict=True))
+    wanted = [index for index, pose in poses.items() if index % every == 0 and np.isfinite(pose).all()]
+    return [
+        DepthView(frame.camera, poses[frame.index], _array(frame.depth))
+        for frame in picked(frames, wanted)
+        if frame.depth is not None
+    ]
 
 
 def _add_ate(group: MetricGroup, estimate: Poses, truth: Poses) -> TrajectoryError | None:

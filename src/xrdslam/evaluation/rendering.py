@@ -19,7 +19,16 @@ from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.image_quality import depth_l1_cm, ms_ssim, psnr, ssim
 from xrdslam.evaluation.metrics import JsonValue, MetricGroup
 
-__all__ = ["MEASURES", "EvaluatedFrame", "FrameRow", "Frames", "Render", "RenderingMetrics", "rendered_frames"]
+__all__ = [
+    "MEASURES",
+    "EvaluatedFrame",
+    "FrameRow",
+    "Frames",
+    "Render",
+    "RenderingMetrics",
+    "picked",
+    "rendered_frames",
+]
 
 Render = Callable[[Camera, Tensor], Rendering]
 Image = Float64[Tensor, "h w 3"]
@@ -76,12 +85,13 @@ def rendered_frames(
     Of a Dataset only these frames are read. The pose is handed over in the frame's dtype, on its device.
     """
     indices = [index for index in sorted(poses) if index % every == 0 and bool(poses[index].isfinite().all())]
-    for frame in _only(frames, indices):
+    for frame in picked(frames, indices):
         with torch.no_grad():
             yield frame, render(frame.camera, poses[frame.index].to(frame.rgb))
 
 
-def _only(frames: Frames, indices: list[int]) -> Iterator[EvaluatedFrame]:
+def picked(frames: Frames, indices: list[int]) -> Iterator[EvaluatedFrame]:
+    """Yield the frames of these indices; a Dataset is asked for no others."""
     if isinstance(frames, Dataset):
         yield from (frames[index] for index in indices)
     else:

@@ -1,0 +1,142 @@
+"""How near a reconstructed surface is to the true one, and how much of it is there.
+
+Both surfaces are sampled evenly over their area, and samples are kept that some frame of the sequence saw: inside its
+image, with measured depth there, and not farther behind it than a margin (frustum and occlusion). What was never seen
+counts neither against a map nor for it; what was seen and is missing counts against its completion.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from xrdslam.core.camera import Camera
+from xrdslam.core.surface import TriangleMesh
+from xrdslam.evaluation.alignment import Alignment
+from xrdslam.evaluation.errors import EvaluationError
+from xrdslam.evaluation.metrics import MetricGroup
+
+__all__ = ["MEASURES", "DepthView", "ReconstructionError", "compare_surfaces", "sampled", "seen"]
+
+Points = Float[NDArray[np.float64], "n 3"]
+MEASURES = (
+    "accuracy_cm",
+    "completion_cm",
+    "completion_ratio_5cm_percent",
+    *(f"{name}_{cm}cm_percent" for cm in (1, 5) for name in ("precision", "recall", "f_score")),
+)
+_ROUNDS = 12
+"""Drawings of samples before the number asked for is given up: much of a large surface may never have been seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthView:
+    """What a frame measured, and from where."""
+
+    camera: Camera
+    T_world_camera: Float[NDArray[np.float64], "4 4"]
+    depth: Float[NDArray[np.float32], "h w"]
+
+
+@dataclass(frozen=True, eq=False)
+class ReconstructionError:
+    """Distances between the samples of two surfaces [m]."""
+
+    to_truth_m: Float[NDArray[np.float64], " n"]
+    """Of each sample of the estimate to the nearest of the truth."""
+    to_estimate_m: Float[NDArray[np.float64], " m"]
+
+    def add_to(self, group: MetricGroup) -> None:
+        """Add every measure; F is the harmonic mean of precision and recall (Knapitsch et al., 2017)."""
+        group.add("accuracy_cm", 100 * float(self.to_truth_m.mean()))
+        group.add("completion_cm", 100 * float(self.to_estimate_m.mean()))
+        group.add("completion_ratio_5cm_percent", _percent(self.to_estimate_m, 0.05))
+        for cm in (1, 5):
+            precision, recall = _percent(self.to_truth_m, cm / 100), _percent(self.to_estimate_m, cm / 100)
+            both = precision + recall
+            group.add(f"precision_{cm}cm_percent", precision)
+            group.add(f"recall_{cm}cm_percent", recall)
+            group.add(f"f_score_{cm}cm_percent", 2 * precision * recall / both if both else 0.0)
+
+
+def compare_surfaces(
+    estimate: TriangleMesh,
+    truth: TriangleMesh,
+    views: Iterable[DepthView],
+    alignment: Alignment,
+    num_samples: int,
+    margin_m: float,
+    seed: int = 0,
+) -> ReconstructionError:
+    """Sample what was seen of both surfaces and measure to the nearest sample; the estimate is aligned first.
+
+    EvaluationError where a surface is empty or nothing of it was seen.
+    """
+    from scipy.spatial import cKDTree
+
+    frames = list(views)
+    rng = np.random.default_rng(seed)
+    moved = TriangleMesh(alignment.apply(estimate.vertices.astype(np.float64)), estimate.faces)
+    found = _seen_samples(moved, frames, num_samples, margin_m, rng, "the reconstructed surface")
+    true = _seen_samples(truth, frames, num_samples, margin_m, rng, "the ground-truth surface")
+    to_truth, _ = cKDTree(true).query(found, workers=-1)
+    to_estimate, _ = cKDTree(found).query(true, workers=-1)
+    return ReconstructionError(to_truth, to_estimate)
+
+
+def sampled(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Points:
+    """Draw points evenly over the area of a mesh [m]."""
+    corners = mesh.vertices.astype(np.float64)[mesh.faces]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    if not len(areas) or not areas.sum() > 0:
+        raise EvaluationError("the mesh has no area")
+    drawn = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum(), side="right").clip(0, len(areas) - 1)
+    u, v = rng.random((2, count))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u)[:, None], np.where(flip, 1 - v, v)[:, None]
+    points: np.ndarray = a[drawn] + u * (b - a)[drawn] + v * (c - a)[drawn]
+    return points
+
+
+def seen(points_world: Points, views: Iterable[DepthView], margin_m: float) -> Bool[NDArray[np.bool_], " n"]:
+    """Say which points some view saw: inside its image, on a pixel with depth, at most `margin_m` behind it."""
+    visible = np.zeros(len(points_world), dtype=np.bool_)
+    for view in views:
+        left = np.flatnonzero(~visible)
+        if not len(left):
+            break
+        rotation, center = view.T_world_camera[:3, :3], view.T_world_camera[:3, 3]
+        x, y, z = ((points_world[left] - center) @ rotation).T
+        front = z > 1e-6
+        safe = np.where(front, z, 1.0)
+        camera = view.camera
+        u = np.rint(camera.fx * x / safe + camera.cx)
+        v = np.rint(camera.fy * y / safe + camera.cy)
+        inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        at = left[inside]
+        depth = view.depth[v[inside].astype(np.int64), u[inside].astype(np.int64)]
+        visible[at[(depth > 0) & (z[inside] <= depth + margin_m)]] = True
+    return visible
+
+
+def _seen_samples(
+    mesh: TriangleMesh, views: list[DepthView], count: int, margin_m: float, rng: np.random.Generator, name: str
+) -> Points:
+    kept: list[np.ndarray] = []
+    total = 0
+    for _ in range(_ROUNDS):
+        points = sampled(mesh, count, rng)
+        kept.append(points[seen(points, views, margin_m)])
+        total += len(kept[-1])
+        if total >= count:
+            break
+    if total == 0:
+        raise EvaluationError(f"no frame saw any of {name}; are both in the same world?")
+    return np.concatenate(kept)[:count]
+
+
+def _percent(distances_m: np.ndarray, threshold_m: float) -> float:
+    return 100 * float((distances_m < threshold_m).mean())
