@@ -28,15 +28,54 @@ def _place(u: np.float32, scale: np.float32) -> tuple[np.int32, np.float32]:
 
 
 @inline_kernel
-def _row(
-    x: np.int32, y: np.int32, z: np.int32, r: np.int64, count: np.int64, is_dense: bool, is_power: bool
-) -> np.int64:
-    """Return the row of a vertex within its level."""
-    if is_dense:
-        index = np.uint32(np.int64(x) + np.int64(y) * r + np.int64(z) * r * r)
-        return np.int64(index) if index < count else np.int64(index) % count
-    hashed = np.uint32(x) ^ np.uint32(np.uint32(y) * _P1) ^ np.uint32(np.uint32(z) * _P2)
-    return np.int64(hashed & np.uint32(count - 1)) if is_power else np.int64(hashed) % count
+def _wrapped(index: np.int64, count: np.int64) -> np.int64:
+    """Return an index beyond a level's rows as unsigned 32 bits, taken around."""
+    return np.int64(np.uint32(index)) % count
+
+
+Rows8 = tuple[np.int64, np.int64, np.int64, np.int64, np.int64, np.int64, np.int64, np.int64]
+
+
+@inline_kernel
+def _rows(x: np.int32, y: np.int32, z: np.int32, r: np.int64, first: np.int64, count: np.int64) -> Rows8:
+    """Return the rows of a cell's eight corners: x runs fastest, then y, then z."""
+    if r * r * r <= count:
+        base = np.int64(x) + np.int64(y) * r + np.int64(z) * r * r
+        if base >= 0 and base + 1 + r + r * r < count:
+            a, b, c, d = first + base, first + base + r, first + base + r * r, first + base + r + r * r
+            return a, a + 1, b, b + 1, c, c + 1, d, d + 1
+        return (
+            first + _wrapped(base, count),
+            first + _wrapped(base + 1, count),
+            first + _wrapped(base + r, count),
+            first + _wrapped(base + r + 1, count),
+            first + _wrapped(base + r * r, count),
+            first + _wrapped(base + r * r + 1, count),
+            first + _wrapped(base + r * r + r, count),
+            first + _wrapped(base + r * r + r + 1, count),
+        )
+    mask = np.uint32(count - 1)  # a level that shares its rows has a power of two of them
+    x0, x1 = np.uint32(x), np.uint32(x + 1)
+    y0 = np.uint32(np.uint32(y) * _P1)
+    z0 = np.uint32(np.uint32(z) * _P2)
+    y1, z1 = np.uint32(y0 + _P1), np.uint32(z0 + _P2)
+    return (
+        first + np.int64((x0 ^ y0 ^ z0) & mask),
+        first + np.int64((x1 ^ y0 ^ z0) & mask),
+        first + np.int64((x0 ^ y1 ^ z0) & mask),
+        first + np.int64((x1 ^ y1 ^ z0) & mask),
+        first + np.int64((x0 ^ y0 ^ z1) & mask),
+        first + np.int64((x1 ^ y0 ^ z1) & mask),
+        first + np.int64((x0 ^ y1 ^ z1) & mask),
+        first + np.int64((x1 ^ y1 ^ z1) & mask),
+    )
+
+
+@inline_kernel
+def _mixed(a: np.float32, b: np.float32, c: np.float32, d: np.float32, s: np.float32, t: np.float32) -> np.float32:
+    """Return the bilinear mean of four values: a, b along s, then c, d, the pairs along t."""
+    low, high = a + s * (b - a), c + s * (d - c)
+    return low + t * (high - low)
 
 
 @parallel_kernel
@@ -54,20 +93,17 @@ def encode(
         for level in range(scales.shape[0]):
             scale, r, first = scales[level], resolutions[level], offsets[level]
             rows = offsets[level + 1] - first
-            is_dense, is_power = r * r * r <= rows, rows & (rows - 1) == 0
             for n in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
                 x, fx = _place(points[n, 0], scale)
                 y, fy = _place(points[n, 1], scale)
                 z, fz = _place(points[n, 2], scale)
-                a, b = np.float32(0), np.float32(0)
-                for corner in range(8):
-                    i, j, k = corner & 1, (corner >> 1) & 1, corner >> 2
-                    w = (fx if i else _ONE - fx) * (fy if j else _ONE - fy) * (fz if k else _ONE - fz)
-                    row = first + _row(x + i, y + j, z + k, r, rows, is_dense, is_power)
-                    a += w * table[row, 0]
-                    b += w * table[row, 1]
-                out[n, 2 * level] = a
-                out[n, 2 * level + 1] = b
+                r0, r1, r2, r3, r4, r5, r6, r7 = _rows(x, y, z, r, first, rows)
+                for feature in range(2):
+                    low = _mixed(table[r0, feature], table[r1, feature], table[r2, feature], table[r3, feature], fx, fy)
+                    high = _mixed(
+                        table[r4, feature], table[r5, feature], table[r6, feature], table[r7, feature], fx, fy
+                    )
+                    out[n, 2 * level + feature] = low + fz * (high - low)
 
 
 @parallel_kernel
@@ -86,7 +122,6 @@ def table_gradient(
         level = 2 * turn if turn < half else 2 * (turn - half) + 1
         scale, r, first = scales[level], resolutions[level], offsets[level]
         rows = offsets[level + 1] - first
-        is_dense, is_power = r * r * r <= rows, rows & (rows - 1) == 0
         for n in range(points.shape[0]):
             g, h = upstream[n, 2 * level], upstream[n, 2 * level + 1]
             if g == 0 and h == 0:
@@ -94,12 +129,20 @@ def table_gradient(
             x, fx = _place(points[n, 0], scale)
             y, fy = _place(points[n, 1], scale)
             z, fz = _place(points[n, 2], scale)
-            for corner in range(8):
-                i, j, k = corner & 1, (corner >> 1) & 1, corner >> 2
-                w = (fx if i else _ONE - fx) * (fy if j else _ONE - fy) * (fz if k else _ONE - fz)
-                row = first + _row(x + i, y + j, z + k, r, rows, is_dense, is_power)
-                d_table[row, 0] += w * g
-                d_table[row, 1] += w * h
+            r0, r1, r2, r3, r4, r5, r6, r7 = _rows(x, y, z, r, first, rows)
+            for feature in range(2):
+                high = (g if feature == 0 else h) * fz
+                low = (g if feature == 0 else h) - high
+                low1, high1 = low * fy, high * fy
+                low0, high0 = low - low1, high - high1
+                d_table[r0, feature] += low0 * (_ONE - fx)
+                d_table[r1, feature] += low0 * fx
+                d_table[r2, feature] += low1 * (_ONE - fx)
+                d_table[r3, feature] += low1 * fx
+                d_table[r4, feature] += high0 * (_ONE - fx)
+                d_table[r5, feature] += high0 * fx
+                d_table[r6, feature] += high1 * (_ONE - fx)
+                d_table[r7, feature] += high1 * fx
 
 
 @parallel_kernel
@@ -118,7 +161,6 @@ def point_gradient(
         for level in range(scales.shape[0]):
             scale, r, first = scales[level], resolutions[level], offsets[level]
             rows = offsets[level + 1] - first
-            is_dense, is_power = r * r * r <= rows, rows & (rows - 1) == 0
             for n in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
                 g, h = upstream[n, 2 * level], upstream[n, 2 * level + 1]
                 if g == 0 and h == 0:
@@ -126,15 +168,11 @@ def point_gradient(
                 x, fx = _place(points[n, 0], scale)
                 y, fy = _place(points[n, 1], scale)
                 z, fz = _place(points[n, 2], scale)
-                dx, dy, dz = np.float32(0), np.float32(0), np.float32(0)
-                for corner in range(8):
-                    i, j, k = corner & 1, (corner >> 1) & 1, corner >> 2
-                    row = first + _row(x + i, y + j, z + k, r, rows, is_dense, is_power)
-                    value = g * table[row, 0] + h * table[row, 1]
-                    wx, wy, wz = fx if i else _ONE - fx, fy if j else _ONE - fy, fz if k else _ONE - fz
-                    dx += value * wy * wz if i else -value * wy * wz
-                    dy += value * wx * wz if j else -value * wx * wz
-                    dz += value * wx * wy if k else -value * wx * wy
-                d_points[n, 0] += dx * scale
-                d_points[n, 1] += dy * scale
-                d_points[n, 2] += dz * scale
+                r0, r1, r2, r3, r4, r5, r6, r7 = _rows(x, y, z, r, first, rows)
+                v0, v1 = g * table[r0, 0] + h * table[r0, 1], g * table[r1, 0] + h * table[r1, 1]
+                v2, v3 = g * table[r2, 0] + h * table[r2, 1], g * table[r3, 0] + h * table[r3, 1]
+                v4, v5 = g * table[r4, 0] + h * table[r4, 1], g * table[r5, 0] + h * table[r5, 1]
+                v6, v7 = g * table[r6, 0] + h * table[r6, 1], g * table[r7, 0] + h * table[r7, 1]
+                d_points[n, 0] += scale * _mixed(v1 - v0, v3 - v2, v5 - v4, v7 - v6, fy, fz)
+                d_points[n, 1] += scale * _mixed(v2 - v0, v3 - v1, v6 - v4, v7 - v5, fx, fz)
+                d_points[n, 2] += scale * _mixed(v4 - v0, v5 - v1, v6 - v2, v7 - v3, fx, fy)

@@ -14,7 +14,7 @@ from xrdslam.ops.one_blob import one_blob_torch
 __all__ = ["FieldWeights", "JointField", "joint_field", "joint_field_torch"]
 
 BINS, HIDDEN, GEO = 16, 32, 15
-_CHUNK = 8192
+_CHUNK = 4096
 """Points at a time: what a chunk needs stays in the cache."""
 
 
@@ -148,16 +148,17 @@ class _JointField(torch.autograd.Function):
             ctx.needs_input_grad[2],
         )
         count, blob, split = len(points), ctx.layout.num_features, 3 * BINS
+        relu_back = torch.ops.aten.threshold_backward
         d_weights = [torch.zeros_like(w) for w in (hidden, geometry, color_hidden, color)]
         d_encoded = torch.empty(count, blob + split if needs_points else blob)
         d_geo = torch.empty(min(count, _CHUNK), 1 + GEO)
         for start in range(0, count, _CHUNK):
             part = slice(start, min(start + _CHUNK, count))
-            d_second = torch.mm(d_rgb[part], color).mul_(second[part] > 0)
+            d_second = relu_back(torch.mm(d_rgb[part], color), second[part], 0)
             back = d_geo[: part.stop - start]
             back[:, 0] = d_distance[part]
             torch.mm(d_second, color_hidden[:, split:], out=back[:, 1:])
-            d_first = torch.mm(back, geometry).mul_(first[part] > 0)
+            d_first = relu_back(torch.mm(back, geometry), first[part], 0)
             torch.mm(d_first, hidden if needs_points else hidden[:, :blob], out=d_encoded[part])
             if needs_points:
                 d_encoded[part, blob:].addmm_(d_second, color_hidden[:, :split])
