@@ -21,8 +21,8 @@ from xrdslam.evaluation.config import EvaluationConfig
 from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.metrics import MetricGroup, Metrics, assemble, write_metrics
 from xrdslam.evaluation.plots import trajectory_figure, write_figure
+from xrdslam.evaluation.reconstruction import DENSITY, DepthView, compare_surfaces
 from xrdslam.evaluation.reconstruction import MEASURES as SURFACE_MEASURES
-from xrdslam.evaluation.reconstruction import DepthView, compare_surfaces
 from xrdslam.evaluation.rendering import (
     MEASURES,
     EvaluatedFrame,
@@ -192,6 +192,7 @@ class EvalMetrics:
                 "cull_every": config.cull_every,
                 "cull_margin_m": config.cull_margin_m,
                 "samples": config.mesh_samples,
+                "samples_measured_to": DENSITY * config.mesh_samples,
                 "alignment": "the trajectory's SE(3); no ICP",
                 "seed": 0,
             },
