@@ -9,11 +9,12 @@ from xrdslam.algorithms.co_slam.bank import RayBank, in_world
 from xrdslam.algorithms.co_slam.config import CoSlamConfig, CoSlamMapConfig, CoSlamMappingConfig
 from xrdslam.algorithms.co_slam.mapping import CoSlamMapping
 from xrdslam.core.algorithm import Scene
-from xrdslam.core.errors import ConfigError
+from xrdslam.core.errors import ConfigError, PluginError
 from xrdslam.core.optimisation import GroupedOptimiser
 from xrdslam.methods.config import GroundTruthTrackingConfig
 from xrdslam.methods.ground_truth import GroundTruthTracking
 from xrdslam.testing import toy_sequence
+from xrdslam.testing.toy_method import toy_algorithm
 
 
 def _algorithm(**mapping: object) -> CoSlam:
@@ -124,7 +125,15 @@ def test_the_box_holds_the_camera_and_what_it_saw() -> None:
     assert ((frame.T_world_camera_gt[:3, 3] > low) & (frame.T_world_camera_gt[:3, 3] < high)).all()
 
 
-@pytest.mark.parametrize("bounds", [[[0.0] * 3], [[0.0] * 3, [1.0, 1.0]], [[0.0] * 3, [1.0, 0.0, 1.0]]])
-def test_bounds_that_are_no_box_are_refused(bounds: list[list[float]]) -> None:
+def test_a_map_of_whole_images_is_refused_before_the_first_step() -> None:
+    algorithm = toy_algorithm()
+    algorithm.mapping = CoSlamMapping(CoSlamMappingConfig())
+    data = toy_sequence(num_frames=1)
+    with pytest.raises(PluginError, match="algo/mapping=co_slam reads rays batches"):
+        algorithm.start(Scene.of(data), data[0])
+
+
+@pytest.mark.parametrize("bounds", [[0.0] * 3, [0.0, 0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0, 0.0, 1.0]])
+def test_bounds_that_are_no_box_are_refused(bounds: list[float]) -> None:
     with pytest.raises(ConfigError, match=r"algo\.map\.bounds"):
         CoSlamMapConfig(bounds=bounds)

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
+from xrdslam.core.batch import BatchKind
 from xrdslam.core.camera import Camera
 from xrdslam.core.config import AlgorithmConfig
 from xrdslam.core.dataset import Dataset, Modality
@@ -97,7 +98,8 @@ class Algorithm(ABC):
         frame.pose.set_(pose)
         self.model = self.build_model(scene, frame).to(self.device)
         if self.tracking.follows_map and self.mapping.changes_map:
-            self._check_batches()
+            self._check_batches("tracking", self.tracking.config.name, self.tracking.batch_kinds)
+        self._check_batches("mapping", self.mapping.config.name, self.mapping.batch_kinds)
         self.trajectory.append(frame.index, frame.timestamp_ns, pose)
         self.tracking.start(frame, pose)
         return TrackingResult(pose)
@@ -214,15 +216,14 @@ class Algorithm(ABC):
     def _is_lost(self, frame: Frame) -> bool:
         return frame.index in self.trajectory and self.trajectory.lost(frame.index)
 
-    def _check_batches(self) -> None:
-        kinds = self.tracking.batch_kinds
+    def _check_batches(self, part: str, name: str, kinds: frozenset[BatchKind]) -> None:
         model = type(self.model)
         if kinds and (self.model.batch_kind not in kinds or not model.supports("losses")):
             raise PluginError(
-                f"algo/tracking={self.tracking.config.name} reads {' or '.join(sorted(kinds))} batches, but the map of "
+                f"algo/{part}={name} reads {' or '.join(sorted(kinds))} batches, but the map of "
                 f"algo={self.config.name} ({model.__name__}) gives "
                 f"{self.model.batch_kind + ' batches' if model.supports('losses') else 'no losses'}; "
-                "choose a tracking method of the same family, or gicp"
+                f"choose a {part} method of the same family{', or gicp' if part == 'tracking' else ''}"
             )
 
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from xrdslam.core.batch import Batch, ImageBatch
+from xrdslam.core.batch import Batch, BatchKind, ImageBatch
 from xrdslam.core.config import IterativeMappingConfig, MappingConfig
 from xrdslam.core.dataset import Modality
 from xrdslam.core.frame import Frame
@@ -36,6 +36,8 @@ class MappingMethod(ABC):
 
     needs: ClassVar[frozenset[Modality]] = frozenset({"rgb"})
     changes_map: ClassVar[bool] = True
+    batch_kinds: ClassVar[frozenset[BatchKind]] = frozenset()
+    """The batches that the method draws for the map's losses; empty: it takes what the map reads, or has no losses."""
 
     def __init__(self, config: MappingConfig, seed: int = 0) -> None:
         self.config: Any = config

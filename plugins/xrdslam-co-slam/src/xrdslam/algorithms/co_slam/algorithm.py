@@ -23,7 +23,7 @@ class CoSlam(Algorithm):
         """Build the field in the box that the user or the data states, or about the first camera."""
         given = self.config.map.bounds
         if given is not None:
-            bounds = torch.tensor(given)
+            bounds = torch.tensor(given, dtype=torch.float32).reshape(2, 3)
         elif scene.bounds is not None:
             bounds = scene.bounds.float()
         else:

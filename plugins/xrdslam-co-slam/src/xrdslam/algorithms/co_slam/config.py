@@ -12,8 +12,9 @@ __all__ = ["CoSlamConfig", "CoSlamMapConfig", "CoSlamMappingConfig", "CoSlamTrac
 class CoSlamMapConfig:
     """The field: where it is, how finely it is stored, how rays are sampled, what its losses weigh."""
 
-    bounds: list[list[float]] | None = None
-    """Corners of the scene, [[x, y, z], [x, y, z]] [m]; by default the data's, or a box about the first camera."""
+    bounds: list[float] | None = None
+    """The scene's box [m], [x, y, z, x, y, z] of its lower and upper corner; by default the data's, or a box about what
+    the first frame saw."""
     voxel_m: float = 0.02
     """Size of a cell of the finest level of the hash grid."""
     log2_rows: int = 16
@@ -53,11 +54,9 @@ class CoSlamMapConfig:
         require(3 <= self.log2_rows <= 24, "algo.map.log2_rows", self.log2_rows, "lie between 3 and 24")
         corners = self.bounds
         sound = corners is None or (
-            len(corners) == 2
-            and all(len(corner) == 3 for corner in corners)
-            and all(low < high for low, high in zip(*corners, strict=True))
+            len(corners) == 6 and all(low < high for low, high in zip(corners[:3], corners[3:], strict=True))
         )
-        require(sound, "algo.map.bounds", corners, "be two corners [[x, y, z], [x, y, z]], the lower one first")
+        require(sound, "algo.map.bounds", corners, "be six numbers, the lower corner and then the upper one")
 
 
 @dataclass

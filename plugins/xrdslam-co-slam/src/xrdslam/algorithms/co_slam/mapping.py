@@ -1,13 +1,14 @@
 """Co-SLAM's mapper: global bundle adjustment of the map and all keyframes on banked rays."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from xrdslam.algorithms.co_slam.bank import RayBank
 from xrdslam.algorithms.co_slam.config import CoSlamMappingConfig
-from xrdslam.core.batch import Batch, RayBatch
+from xrdslam.core.batch import Batch, BatchKind, RayBatch
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import so3
 from xrdslam.core.mapping import GradientMapping, MappingProblem, MappingResult
@@ -21,6 +22,7 @@ __all__ = ["CoSlamMapping"]
 class CoSlamMapping(GradientMapping):
     """All keyframes' rays and the current frame's, all poses but the first free; poses step on summed gradients."""
 
+    batch_kinds: ClassVar[frozenset[BatchKind]] = frozenset({"rays"})
     config: CoSlamMappingConfig
 
     def __init__(self, config: CoSlamMappingConfig, seed: int = 0) -> None:
