@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import resource
 import sys
 import time
@@ -13,7 +14,18 @@ import torch
 
 from xrdslam.engine.build import current_accelerator
 
-__all__ = ["FrameCost", "Profile", "peak_rss_mib", "rss_mib"]
+__all__ = ["PROTOCOL", "FrameCost", "Profile", "peak_rss_mib", "rss_mib"]
+
+PROTOCOL = {
+    "wall": "from the first frame's reading to the end of the last refinement; files and evaluation excluded",
+    "cpu": "processor time of all threads of all processes of the run, in the same span",
+    "stage_cpu": "processor time of the process that ran the stage, its threads together, while the stage ran",
+    "frames_per_second": "all frames over the wall time of the whole run",
+    "tracking": "all frames but the first, whose pose is given",
+    "mapping": "all frames, those that the method does not map among them",
+    "peak_rss": "largest resident memory, summed over the run's processes; what they share counts in each",
+}
+"""What the figures of a run's cost mean, whichever engine carried it out."""
 
 
 @dataclass
@@ -28,6 +40,8 @@ class FrameCost:
     mapping_iterations: int = 0
     map_size: int = 0
     rss_mib: float = 0.0
+    tracking_cpu_ms: float = 0.0
+    mapping_cpu_ms: float = 0.0
     is_lost: bool = False
     is_keyframe: bool = False
 
@@ -36,54 +50,90 @@ class FrameCost:
 class Profile:
     """Costs of every frame, and of the run: wall clock from the first frame's reading to the end of `finish`.
 
-    Frames per second is frames over that wall clock, for every method alike; evaluation and files are not in it.
+    Frames per second is frames over that wall clock, for every method and engine alike; evaluation and files are not in
+    it. An engine with processes of its own adds what each of them cost (`add_process`).
     """
 
     frames: list[FrameCost] = field(default_factory=list)
     wall_s: float = 0.0
     cpu_s: float = 0.0
+    finish_wall_s: float = 0.0
+    finish_cpu_s: float = 0.0
+    peak_rss_mib: float = 0.0
+    peak_cuda_mib: float = 0.0
 
     @contextmanager
     def running(self) -> Iterator[None]:
         """Count what happens inside as the run."""
+        if torch.cuda.is_available():
+            torch.cuda.reset_peak_memory_stats()
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             yield
         finally:
             self.wall_s += time.perf_counter() - wall
-            self.cpu_s += time.process_time() - cpu
+            cuda = torch.cuda.max_memory_allocated() / 2**20 if torch.cuda.is_available() else 0.0
+            self.add_process(time.process_time() - cpu, peak_rss_mib(), cuda)
+
+    def add_process(self, cpu_s: float, peak_rss_mib: float, peak_cuda_mib: float = 0.0) -> None:
+        """Add what one process of the run cost."""
+        self.cpu_s += cpu_s
+        self.peak_rss_mib += peak_rss_mib
+        self.peak_cuda_mib += peak_cuda_mib
 
     @contextmanager
     def stage(self, cost: FrameCost, name: str) -> Iterator[None]:
-        """Add the time inside to a frame's `<name>_ms`."""
-        start = time.perf_counter()
+        """Add the time inside to a frame's `<name>_ms` and `<name>_cpu_ms`."""
+        wall, cpu = time.perf_counter(), time.process_time()
         try:
             yield
         finally:
             _synchronise()
-            key = f"{name}_ms"
-            setattr(cost, key, getattr(cost, key) + 1e3 * (time.perf_counter() - start))
+            for key, spent in (
+                (f"{name}_ms", time.perf_counter() - wall),
+                (f"{name}_cpu_ms", time.process_time() - cpu),
+            ):
+                setattr(cost, key, getattr(cost, key) + 1e3 * spent)
+
+    @contextmanager
+    def finishing(self) -> Iterator[None]:
+        """Count what happens inside as the refinement after the last frame."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            yield
+        finally:
+            _synchronise()
+            self.finish_wall_s += time.perf_counter() - wall
+            self.finish_cpu_s += time.process_time() - cpu
 
     def metrics(self) -> dict[str, float]:
-        """Return the figures of `metrics.json`'s group `profile`."""
-        tracked, mapped = [f for f in self.frames if f.index > 0], [f for f in self.frames if f.mapping_iterations]
+        """Return the figures of `metrics.json`'s group `profile`; NaN where there is nothing to divide by."""
+        tracked, mapped = self.frames[1:], [f for f in self.frames if f.mapping_iterations]
         figures = {
             "frames": float(len(self.frames)),
             "wall_s": self.wall_s,
             "cpu_s": self.cpu_s,
-            "frames_per_second": len(self.frames) / self.wall_s if self.wall_s else float("nan"),
-            "reading_ms_per_frame": _mean([f.reading_ms for f in self.frames]),
-            "tracking_ms_per_frame": _mean([f.tracking_ms for f in tracked]),
-            "mapping_ms_per_frame": _mean([f.mapping_ms for f in self.frames]),
-            "tracking_ms_per_iteration": _ratio(tracked, "tracking"),
-            "mapping_ms_per_iteration": _ratio(mapped, "mapping"),
+            "frames_per_second": _over(len(self.frames), self.wall_s),
+            "tracking_frames_per_second": _over(len(tracked), _seconds(tracked, "tracking_ms")),
+            "mapping_frames_per_second": _over(len(self.frames), _seconds(self.frames, "mapping_ms")),
+            "reading_ms_per_frame": 1e3 * _over(_seconds(self.frames, "reading_ms"), len(self.frames)),
+            "tracking_ms_per_frame": 1e3 * _over(_seconds(tracked, "tracking_ms"), len(tracked)),
+            "mapping_ms_per_frame": 1e3 * _over(_seconds(self.frames, "mapping_ms"), len(self.frames)),
+            "tracking_wall_s": _seconds(self.frames, "tracking_ms"),
+            "tracking_cpu_s": _seconds(self.frames, "tracking_cpu_ms"),
+            "mapping_wall_s": _seconds(self.frames, "mapping_ms"),
+            "mapping_cpu_s": _seconds(self.frames, "mapping_cpu_ms"),
+            "finish_wall_s": self.finish_wall_s,
+            "finish_cpu_s": self.finish_cpu_s,
+            "tracking_iterations": float(sum(f.tracking_iterations for f in self.frames)),
+            "mapping_iterations": float(sum(f.mapping_iterations for f in self.frames)),
+            "tracking_ms_per_iteration": _per_iteration(tracked, "tracking"),
+            "mapping_ms_per_iteration": _per_iteration(mapped, "mapping"),
             "map_size": float(self.frames[-1].map_size) if self.frames else 0.0,
             "keyframes": float(sum(f.is_keyframe for f in self.frames)),
-            "peak_rss_mib": peak_rss_mib(),
+            "peak_rss_mib": self.peak_rss_mib,
         }
-        if torch.cuda.is_available():
-            figures["peak_cuda_mib"] = torch.cuda.max_memory_allocated() / 2**20
-        return figures
+        return figures | ({"peak_cuda_mib": self.peak_cuda_mib} if torch.cuda.is_available() else {})
 
     def csv(self) -> str:
         """Return `timing.csv`: a row a frame."""
@@ -123,10 +173,14 @@ def _synchronise() -> None:
         torch.accelerator.synchronize()
 
 
-def _mean(values: list[float]) -> float:
-    return sum(values) / len(values) if values else float("nan")
+def _seconds(frames: list[FrameCost], key: str) -> float:
+    return 1e-3 * math.fsum(getattr(f, key) for f in frames)
 
 
-def _ratio(frames: list[FrameCost], stage: str) -> float:
-    iterations = sum(getattr(f, f"{stage}_iterations") for f in frames)
-    return sum(getattr(f, f"{stage}_ms") for f in frames) / iterations if iterations else float("nan")
+def _over(amount: float | int, whole: float | int) -> float:
+    return amount / whole if whole else float("nan")
+
+
+def _per_iteration(frames: list[FrameCost], stage: str) -> float:
+    """Return milliseconds of an iteration."""
+    return 1e3 * _over(_seconds(frames, f"{stage}_ms"), sum(getattr(f, f"{stage}_iterations") for f in frames))

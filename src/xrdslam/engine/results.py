@@ -14,6 +14,7 @@ from xrdslam.core.errors import XrdslamError
 from xrdslam.core.files import replaced, write_text
 from xrdslam.core.model import Rendering, View
 from xrdslam.engine.context import Run
+from xrdslam.engine.profile import PROTOCOL
 from xrdslam.evaluation import EvalMetrics, Metrics, Trajectories
 
 __all__ = ["evaluate", "save_map", "save_trajectories"]
@@ -84,8 +85,8 @@ def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
     surfaces = (estimate, true_mesh) if true_mesh is not None and estimate.is_file() else None
     renders = with_rendering and model.size > 0 and model.supports("render")
     protocol = {
-        "wall": "from the first frame's reading to the end of the last refinement; evaluation and files excluded",
-        "tracking": "per frame over all frames but the first",
+        **PROTOCOL,
+        "engine": run.config.engine.name,
         "threads": str(torch.get_num_threads()),
         "device": run.device,
         "preset": run.config.preset,

@@ -28,7 +28,8 @@ def run_sequential(run: Run) -> None:
                 _step(run, tracker, mapper, frame, cost)
                 progress.update(cost)
                 asked = time.perf_counter()
-        run.algorithm.finish()
+        with run.profile.finishing():
+            run.algorithm.finish()
 
 
 def _step(run: Run, tracker: Tracker, mapper: Mapper, frame: Frame, cost: FrameCost) -> None:
