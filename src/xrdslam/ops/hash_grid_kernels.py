@@ -8,10 +8,12 @@ import numba
 import numpy as np
 
 from xrdslam.ops.simd import inline_kernel, parallel_kernel
+from xrdslam.ops.simd_corners import add_to_rows, corner_weights, paired
 
 __all__ = ["encode", "point_gradient", "table_gradient"]
 
 _CHUNK = 1024
+_ROWS, _GROUPS = 4096, 4
 _ONE, _HALF = np.float32(1), np.float32(0.5)
 _BOUND = np.float32(1 << 24)
 _P1, _P2 = np.uint32(2654435761), np.uint32(805459861)
@@ -115,34 +117,26 @@ def table_gradient(
     upstream: np.ndarray,
     d_table: np.ndarray,
 ) -> None:
-    """Add each point's share to the rows of its corners; even levels first, so that two threads have equal loads."""
-    levels = scales.shape[0]
-    half = (levels + 1) // 2
-    for turn in numba.prange(levels):
-        level = 2 * turn if turn < half else 2 * (turn - half) + 1
-        scale, r, first = scales[level], resolutions[level], offsets[level]
-        rows = offsets[level + 1] - first
-        for n in range(points.shape[0]):
-            g, h = upstream[n, 2 * level], upstream[n, 2 * level + 1]
-            if g == 0 and h == 0:
-                continue
-            x, fx = _place(points[n, 0], scale)
-            y, fy = _place(points[n, 1], scale)
-            z, fz = _place(points[n, 2], scale)
-            r0, r1, r2, r3, r4, r5, r6, r7 = _rows(x, y, z, r, first, rows)
-            for feature in range(2):
-                high = (g if feature == 0 else h) * fz
-                low = (g if feature == 0 else h) - high
-                low1, high1 = low * fy, high * fy
-                low0, high0 = low - low1, high - high1
-                d_table[r0, feature] += low0 * (_ONE - fx)
-                d_table[r1, feature] += low0 * fx
-                d_table[r2, feature] += low1 * (_ONE - fx)
-                d_table[r3, feature] += low1 * fx
-                d_table[r4, feature] += high0 * (_ONE - fx)
-                d_table[r5, feature] += high0 * fx
-                d_table[r6, feature] += high1 * (_ONE - fx)
-                d_table[r7, feature] += high1 * fx
+    """Add each point's share to the rows of its corners.
+
+    Levels are dealt out to four groups in turn. A group goes through its levels chunk by chunk: a chunk's rows of
+    `upstream`, of which a level reads two numbers, then come from memory once a group and not once a level.
+    """
+    levels, count = scales.shape[0], points.shape[0]
+    for group in numba.prange(_GROUPS):
+        for chunk in range((count + _ROWS - 1) // _ROWS):
+            for level in range(group, levels, _GROUPS):
+                scale, r, first = scales[level], resolutions[level], offsets[level]
+                rows = offsets[level + 1] - first
+                for n in range(chunk * _ROWS, min(count, (chunk + 1) * _ROWS)):
+                    g, h = upstream[n, 2 * level], upstream[n, 2 * level + 1]
+                    if g == 0 and h == 0:
+                        continue
+                    x, fx = _place(points[n, 0], scale)
+                    y, fy = _place(points[n, 1], scale)
+                    z, fz = _place(points[n, 2], scale)
+                    at = _rows(x, y, z, r, first, rows)
+                    add_to_rows(d_table, at, corner_weights(fx, fy, fz) * paired(g, h))
 
 
 @parallel_kernel

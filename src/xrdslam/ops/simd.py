@@ -35,16 +35,20 @@ from numba.np.arrayobj import make_array
 
 __all__ = [
     "LANES",
+    "Vector",
     "absolute",
     "any_true",
     "ceil",
+    "element_pointer",
     "exp2",
     "fetch_add",
     "floor",
     "inline_kernel",
     "kernel",
     "lane_columns",
+    "lane_constant",
     "lane_rows",
+    "llvm_intrinsic",
     "load",
     "log2",
     "maximum",
@@ -89,7 +93,7 @@ def parallel_kernel(function: Callable[..., Any]) -> Any:
     return numba.njit(parallel=True, **_OPTIONS)(inspect.unwrap(function))
 
 
-def _intrinsic(function: Callable[..., Any]) -> Any:
+def llvm_intrinsic(function: Callable[..., Any]) -> Any:
     """Declare a function that emits LLVM code; typed as anything, since it is called without its typing context."""
     return intrinsic(function)
 
@@ -190,35 +194,36 @@ def _lower_mask_and(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.and_(*args)
 
 
-def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, pointee: Any) -> Any:
+def element_pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, pointee: Any) -> Any:
+    """Return the address of an array's flat position as a pointer to `pointee`, for intrinsics."""
     data = make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), pointee.as_pointer())
 
 
-@_intrinsic
+@llvm_intrinsic
 def load(typingctx: Any, array: Any, index: Any) -> Any:
     """Read 16 floats from flat position `index`; no alignment asked."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        value = builder.load(_pointer(context, builder, sig.args[0], args[0], args[1], _VF))
+        value = builder.load(element_pointer(context, builder, sig.args[0], args[0], args[1], _VF))
         value.align = 4
         return value
 
     return Vector(array, types.intp), codegen
 
 
-@_intrinsic
+@llvm_intrinsic
 def store(typingctx: Any, array: Any, index: Any, vector: Any) -> Any:
     """Write 16 floats at flat position `index`; no alignment asked."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1], _VF)).align = 4
+        builder.store(args[2], element_pointer(context, builder, sig.args[0], args[0], args[1], _VF)).align = 4
         return context.get_dummy_value()
 
     return types.void(array, types.intp, Vector), codegen
 
 
-@_intrinsic
+@llvm_intrinsic
 def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
     """Ask for the cache line of flat position `index`; the position need not exist."""
 
@@ -226,7 +231,7 @@ def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
         byte = ir.IntType(8).as_pointer()
         kind = ir.FunctionType(ir.VoidType(), [byte, _I32, _I32, _I32])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
-        address = _pointer(context, builder, sig.args[0], args[0], args[1], ir.IntType(8))
+        address = element_pointer(context, builder, sig.args[0], args[0], args[1], ir.IntType(8))
         read, keep, data = (ir.Constant(_I32, k) for k in (0, 3, 1))
         builder.call(function, [address, read, keep, data])
         return context.get_dummy_value()
@@ -234,7 +239,7 @@ def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
     return types.void(array, types.intp), codegen
 
 
-@_intrinsic
+@llvm_intrinsic
 def fetch_add(typingctx: Any, array: Any, index: Any, amount: Any) -> Any:
     """Add `amount` to an int64 array's element atomically and return what it was: hands out work to threads."""
 
@@ -245,7 +250,7 @@ def fetch_add(typingctx: Any, array: Any, index: Any, amount: Any) -> Any:
     return types.int64(array, types.intp, types.int64), codegen
 
 
-@_intrinsic
+@llvm_intrinsic
 def splat(typingctx: Any, scalar: Any) -> Any:
     """Return a vector whose lanes all are the float32 `scalar`."""
 
@@ -255,7 +260,9 @@ def splat(typingctx: Any, scalar: Any) -> Any:
     return Vector(types.float32), codegen
 
 
-def _constant_intrinsic(values: list[float], doc: str) -> Any:
+def lane_constant(values: list[float], doc: str) -> Any:
+    """Make an intrinsic without arguments that returns these lanes."""
+
     def constant(typingctx: Any) -> Any:
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             return _constant(values)
@@ -263,15 +270,15 @@ def _constant_intrinsic(values: list[float], doc: str) -> Any:
         return Vector(), codegen
 
     constant.__doc__ = doc
-    return _intrinsic(constant)
+    return llvm_intrinsic(constant)
 
 
-zeros = _constant_intrinsic([0.0] * LANES, "Return a vector of zeros.")
-lane_columns = _constant_intrinsic([float(k % 4) for k in range(LANES)], "Return each lane's column in a 4x4 block.")
-lane_rows = _constant_intrinsic([float(k // 4) for k in range(LANES)], "Return each lane's row in a 4x4 block.")
+zeros = lane_constant([0.0] * LANES, "Return a vector of zeros.")
+lane_columns = lane_constant([float(k % 4) for k in range(LANES)], "Return each lane's column in a 4x4 block.")
+lane_rows = lane_constant([float(k // 4) for k in range(LANES)], "Return each lane's row in a 4x4 block.")
 
 
-@_intrinsic
+@llvm_intrinsic
 def select(typingctx: Any, mask: Any, yes: Any, no: Any) -> Any:
     """Return `yes` where the mask holds and `no` elsewhere; NaN in a lane that is not taken does not leak."""
 
@@ -281,7 +288,7 @@ def select(typingctx: Any, mask: Any, yes: Any, no: Any) -> Any:
     return Vector(Mask, Vector, Vector), codegen
 
 
-@_intrinsic
+@llvm_intrinsic
 def any_true(typingctx: Any, mask: Any) -> Any:
     """Say whether any lane of the mask holds."""
 
@@ -301,7 +308,7 @@ def _extremum(predicate: str, doc: str) -> Any:
         return Vector(Vector, limit), codegen
 
     extremum.__doc__ = doc
-    return _intrinsic(extremum)
+    return llvm_intrinsic(extremum)
 
 
 minimum = _extremum("<", "Return the smaller of each lane and the limit, a vector or a float32; the limit where NaN.")
@@ -318,7 +325,7 @@ def _unary(name: str, doc: str) -> Any:
         return Vector(Vector), codegen
 
     unary.__doc__ = doc
-    return _intrinsic(unary)
+    return llvm_intrinsic(unary)
 
 
 sqrt = _unary("sqrt", "Return each lane's square root.")
@@ -326,7 +333,7 @@ floor = _unary("floor", "Return each lane rounded down.")
 ceil = _unary("ceil", "Return each lane rounded up.")
 
 
-@_intrinsic
+@llvm_intrinsic
 def pack_pair(typingctx: Any, low: Any, high: Any) -> Any:
     """Return the bits of int(low) | int(high) << 16 in each lane; both in [0, 32767]."""
 
@@ -337,7 +344,7 @@ def pack_pair(typingctx: Any, low: Any, high: Any) -> Any:
     return Vector(Vector, Vector), codegen
 
 
-@_intrinsic
+@llvm_intrinsic
 def absolute(typingctx: Any, vector: Any) -> Any:
     """Return each lane without its sign."""
 
@@ -359,7 +366,7 @@ _EXP2 = (
 )
 
 
-@_intrinsic
+@llvm_intrinsic
 def exp2(typingctx: Any, vector: Any) -> Any:
     """Return 2^x of each lane in [-126, 127], relative error below 2e-7; other lanes are garbage, for a mask to drop.
 
@@ -385,7 +392,7 @@ def exp2(typingctx: Any, vector: Any) -> Any:
 _LOG2_SERIES = tuple(2 / math.log(2) / k for k in (1, 3, 5, 7))
 
 
-@_intrinsic
+@llvm_intrinsic
 def log2(typingctx: Any, vector: Any) -> Any:
     """Return log2 of each lane; positive normal numbers only, absolute error below 2e-7 up to 256.
 
@@ -409,7 +416,7 @@ def log2(typingctx: Any, vector: Any) -> Any:
     return Vector(Vector), codegen
 
 
-@_intrinsic
+@llvm_intrinsic
 def transpose(typingctx: Any, rows: Any) -> Any:
     """Return the columns of 16 vectors as 16 vectors: structures of arrays to arrays of structures, or back."""
 
@@ -446,7 +453,7 @@ def _merge_steps() -> list[tuple[list[int], list[int]]]:
     return steps
 
 
-@_intrinsic
+@llvm_intrinsic
 def sum_lanes_of_16(typingctx: Any, vectors: Any) -> Any:
     """Return the vector whose lane k is the sum over the lanes of `vectors[k]`, a tuple of up to 16 vectors.
 
