@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 PLUGINS = sorted(path.parent for path in ROOT.glob("plugins/*/pyproject.toml"))
 TOY = ROOT / "examples" / "xrdslam-toy"
 DISTRIBUTIONS = {folder.name: folder for folder in (*PLUGINS, TOY)} | {"xrdslam": ROOT}
-MODULES = {"hydra-core": "hydra", "opencv-python-headless": "cv2", "scikit-image": "skimage"}
+MODULES = {"hydra-core": "hydra", "opencv-python-headless": "cv2", "pyyaml": "yaml", "scikit-image": "skimage"}
 """Distributions whose module has another name."""
 
 

@@ -28,6 +28,30 @@ def xrdslam_datasets() -> list[DatasetInfo]:
             "xrdslam.datasets.config:SevenScenesConfig",
             "Microsoft's 7-Scenes, Kinect recordings",
         ),
+        DatasetInfo(
+            "tum_rgbd",
+            "xrdslam.datasets.tum_rgbd:TumRgbdDataset",
+            "xrdslam.datasets.config:TumRgbdConfig",
+            "TUM's RGB-D benchmark: Kinect recordings with motion capture",
+        ),
+        DatasetInfo(
+            "scannet",
+            "xrdslam.datasets.scannet:ScanNetDataset",
+            "xrdslam.datasets.config:ScanNetConfig",
+            "ScanNet's rooms, exported from .sens",
+        ),
+        DatasetInfo(
+            "co_fusion",
+            "xrdslam.datasets.co_fusion:CoFusionDataset",
+            "xrdslam.datasets.config:CoFusionConfig",
+            "Co-Fusion's rendered room with moving things (extra `exr`)",
+        ),
+        DatasetInfo(
+            "euroc",
+            "xrdslam.datasets.euroc:EurocDataset",
+            "xrdslam.datasets.config:EurocConfig",
+            "EuRoC's drone: grey images, mono or stereo, with IMU; no depth",
+        ),
     ]
 
 

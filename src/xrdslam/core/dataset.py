@@ -16,7 +16,7 @@ from xrdslam.core.frame import Frame
 
 __all__ = ["Dataset", "Modality"]
 
-Modality = Literal["rgb", "depth", "imu", "pose"]
+Modality = Literal["rgb", "depth", "imu", "stereo", "pose"]
 log = logging.getLogger(__name__)
 
 

@@ -10,7 +10,15 @@ from torch import Tensor, nn
 from xrdslam.core.camera import Camera
 from xrdslam.core.pose import OptimizablePose, RotationKind
 
-__all__ = ["Frame", "ImuSamples"]
+__all__ = ["Frame", "ImuSamples", "StereoView"]
+
+
+@dataclass(frozen=True)
+class StereoView:
+    """The right image of a rectified pair, as the frame's camera sees it from `baseline_m` to the right (its x)."""
+
+    rgb: Float[Tensor, "h w 3"]
+    baseline_m: float
 
 
 @dataclass(frozen=True)
@@ -42,6 +50,7 @@ class Frame(nn.Module):
         T_world_camera_gt: Float[Tensor, "4 4"] | None = None,
         imu: ImuSamples | None = None,
         rotation: RotationKind = "axis_angle",
+        stereo: StereoView | None = None,
     ) -> None:
         """Hold rgb in [0, 1], depth [m] along z with 0 = no measurement, and start the pose at the identity."""
         super().__init__()
@@ -52,6 +61,7 @@ class Frame(nn.Module):
         self.timestamp_ns = timestamp_ns
         self.camera = camera
         self.imu = imu
+        self.stereo = stereo
         self.register_buffer("rgb", rgb)
         self.register_buffer("depth", depth)
         self.register_buffer("T_world_camera_gt", T_world_camera_gt)

@@ -4,7 +4,16 @@ from dataclasses import dataclass, field
 
 from xrdslam.core.config import require, require_choice
 
-__all__ = ["DatasetConfig", "ReplicaConfig", "SevenScenesConfig"]
+__all__ = [
+    "CoFusionConfig",
+    "DatasetConfig",
+    "EurocConfig",
+    "FilesConfig",
+    "ReplicaConfig",
+    "ScanNetConfig",
+    "SevenScenesConfig",
+    "TumRgbdConfig",
+]
 
 
 @dataclass
@@ -21,6 +30,8 @@ class DatasetConfig:
     """Which frames of the whole sequence: start, stop, stride; a stop of null (or -1) is the end."""
     size: list[int] | None = None
     """The width and height [px] that images are resized to."""
+    crop: list[int] | None = None
+    """What is cut off at the left, top, right and bottom [px], after undistortion and before `size`."""
     max_depth: float | None = None
     """Depth beyond this [m] counts as not measured."""
     on_error: str = "raise"
@@ -34,6 +45,8 @@ class DatasetConfig:
         require(allowed, "dataset.frames", self.frames, must)
         sized = self.size is None or (len(self.size) == 2 and min(self.size) >= 1)
         require(sized, "dataset.size", self.size, "be [width, height] in pixels, both at least 1")
+        cropped = self.crop is None or (len(self.crop) == 4 and min(self.crop) >= 0)
+        require(cropped, "dataset.crop", self.crop, "be [left, top, right, bottom] in pixels, none negative")
         require(self.max_depth is None or self.max_depth > 0, "dataset.max_depth", self.max_depth, "be above 0 metres")
         require_choice("dataset.on_error", self.on_error, ("raise", "skip"))
 
@@ -54,3 +67,90 @@ class SevenScenesConfig(DatasetConfig):
     root: str = "data/7-Scenes"
     sequence: str | None = None
     """The sequence's folder inside the scene's, such as seq-01; needed where there are several."""
+
+
+@dataclass
+class FilesConfig(DatasetConfig):
+    """Where the camera and the depth's scale may be said on the command line."""
+
+    intrinsics: list[float] | None = None
+    """The camera of the colour files: fx, fy, cx, cy [px]; goes before what files or the family say."""
+    distortion: list[float] = field(default_factory=list)
+    """OpenCV's coefficients that belong to `intrinsics`: k1, k2, p1, p2[, k3[, k4, k5, k6]]."""
+    depth_scale: float | None = None
+    """Levels of a depth image per metre; null takes what the family or its files say."""
+    invalid_depth: list[int] = field(default_factory=list)
+    """Levels that mean no measurement, beside 0; 65535 is one with many sensors."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = self.intrinsics
+        sensible = given is None or (len(given) == 4 and min(given[:2]) > 0)
+        require(sensible, "dataset.intrinsics", given, "be [fx, fy, cx, cy] in pixels, focal lengths above 0")
+        require(
+            len(self.distortion) in (0, 4, 5, 8),
+            "dataset.distortion",
+            self.distortion,
+            "be OpenCV's 4, 5 or 8 coefficients k1, k2, p1, p2[, k3[, k4, k5, k6]]",
+        )
+        scale = self.depth_scale
+        require(scale is None or scale > 0, "dataset.depth_scale", scale, "be above 0 levels per metre")
+
+
+@dataclass
+class TumRgbdConfig(FilesConfig):
+    """The RGB-D benchmark of TUM."""
+
+    family: str = "tum_rgbd"
+    root: str = "data/TUM_RGBD"
+    max_time_offset_s: float = 0.02
+    """Colour and depth that are at most this far apart belong together; poses are interpolated between two that are."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        offset = self.max_time_offset_s
+        require(offset >= 0, "dataset.max_time_offset_s", offset, "not be negative")
+
+
+@dataclass
+class ScanNetConfig(DatasetConfig):
+    """ScanNet, as its own tool exports a .sens file."""
+
+    family: str = "scannet"
+    root: str = "data/ScanNet"
+
+
+@dataclass
+class CoFusionConfig(FilesConfig):
+    """Co-Fusion's synthetic sequences."""
+
+    family: str = "co_fusion"
+    root: str = "data/CoFusion"
+    depth: str = "depth_noise"
+    """Which depth: depth_noise, as a sensor would give it, or depth_original, exact."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_choice("dataset.depth", self.depth, ("depth_noise", "depth_original"))
+
+
+@dataclass
+class EurocConfig(DatasetConfig):
+    """EuRoC MAV: grey images, IMU, no depth."""
+
+    family: str = "euroc"
+    root: str = "data/EuRoC"
+    camera: str = "cam0"
+    """The camera that is followed: cam0 (left) or cam1."""
+    stereo: bool = False
+    """Give each frame the right image as well, both rectified."""
+    max_time_offset_s: float = 0.02
+    """Poses are interpolated between two of the ground truth that are at most this far away; others are unknown."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_choice("dataset.camera", self.camera, ("cam0", "cam1"))
+        both = not self.stereo or self.camera == "cam0"
+        require(both, "dataset.camera", self.camera, "be cam0 where dataset.stereo=true")
+        offset = self.max_time_offset_s
+        require(offset >= 0, "dataset.max_time_offset_s", offset, "not be negative")

@@ -1,16 +1,20 @@
 """The folder of a scene: where it is, what it holds, and what there is instead."""
 
 import difflib
+import os
 from pathlib import Path
 
 from xrdslam.core.errors import DataError
 from xrdslam.datasets.config import DatasetConfig
 
-__all__ = ["dataset_name", "scene_folder", "subfolders"]
+__all__ = ["dataset_name", "inside", "scene_folder", "subfolders"]
 
 
-def scene_folder(config: DatasetConfig) -> Path:
-    """Return `dataset.path` if set, else `dataset.root`/`dataset.scene`; a DataError says what there is instead."""
+def scene_folder(config: DatasetConfig, *aliases: str) -> Path:
+    """Return `dataset.path` if set, else `dataset.root`/`dataset.scene`; a DataError says what there is instead.
+
+    `aliases` are other names that the scene's folder may have.
+    """
     if config.path:
         folder = Path(config.path).expanduser()
         if not folder.is_dir():
@@ -23,9 +27,19 @@ def scene_folder(config: DatasetConfig) -> Path:
             " folder that holds the scenes, or dataset.path to the scene's own"
         )
     folder = root / config.scene
+    for alias in aliases:
+        if (root / alias).is_dir():
+            return root / alias
     if not folder.is_dir():
         raise DataError(f"{folder}: no such scene{_nearby(folder)} Or set dataset.path to the scene's own folder")
     return folder
+
+
+def inside(folder: Path, name: str, source: str) -> Path:
+    """Return the path of a file that a list names; one that leads out of the folder is refused, naming `source`."""
+    if os.path.isabs(name) or os.path.normpath(name).split(os.sep)[0] == "..":
+        raise DataError(f"{source}: {name!r} leads out of {folder}; name files inside the folder")
+    return folder / name
 
 
 def dataset_name(config: DatasetConfig, folder: Path) -> str:

@@ -9,7 +9,7 @@ What this cannot see: bits flipped inside a JPEG's entropy-coded data, which car
 
 import os
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -20,7 +20,16 @@ from jaxtyping import Float32, UInt8, UInt16
 
 from xrdslam.core.errors import DataError
 
-__all__ = ["ImageHeader", "probe_depth", "probe_image", "probe_rgb", "read_depth", "read_rgb"]
+__all__ = [
+    "COPY_AGAIN",
+    "ImageHeader",
+    "first_size",
+    "probe_depth",
+    "probe_image",
+    "probe_rgb",
+    "read_depth",
+    "read_rgb",
+]
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"  # length 0, type, CRC: the same 12 bytes in every PNG
@@ -51,6 +60,8 @@ class ImageHeader:
 
 def probe_image(path: Path) -> ImageHeader:
     """Read the header and look for the end marker, without decoding; refuse a missing, empty, cut or foreign file."""
+    if path.exists() and not path.is_file():  # opening a pipe would wait for ever
+        raise DataError(f"{path}: not a file and cannot be read; {COPY_AGAIN}")
     try:
         with path.open("rb") as file:
             signature = file.read(8)
@@ -63,10 +74,21 @@ def probe_image(path: Path) -> ImageHeader:
     raise DataError(_foreign(path, signature))
 
 
-def probe_rgb(path: Path) -> ImageHeader:
-    """Probe a colour image: three channels (or four, alpha is dropped) of 8 bits."""
+def first_size(images: Mapping[int, Path]) -> tuple[int, int]:
+    """Return the width, height [px] of the first image that can be probed, by rising number."""
+    faults = []
+    for number in sorted(images):
+        try:
+            return probe_image(images[number]).size
+        except DataError as error:
+            faults.append(str(error))
+    raise DataError(f"none of {len(faults)} images can be read; the first: {faults[0]}")
+
+
+def probe_rgb(path: Path, may_be_grey: bool = False) -> ImageHeader:
+    """Probe a colour image: three channels (or four, alpha is dropped) of 8 bits; or one, where it may be grey."""
     header = probe_image(path)
-    if header.bits != 8 or header.channels not in (3, 4):
+    if header.bits != 8 or header.channels not in ((1, 3, 4) if may_be_grey else (3, 4)):
         raise DataError(
             f"{path}: a colour image has 3 channels of 8 bits, this {header.kind} has {header.channels} of"
             f" {header.bits}; give the colour images, converted to 8-bit RGB"
@@ -85,9 +107,9 @@ def probe_depth(path: Path) -> ImageHeader:
     return header
 
 
-def read_rgb(path: Path) -> Float32[np.ndarray, "h w 3"]:
-    """Read a colour image, red first, in [0, 1]."""
-    header = probe_rgb(path)
+def read_rgb(path: Path, may_be_grey: bool = False) -> Float32[np.ndarray, "h w 3"]:
+    """Read a colour image, red first, in [0, 1]; a grey one has three equal channels."""
+    header = probe_rgb(path, may_be_grey)
     bgr: UInt8[np.ndarray, "h w 3"] = _decode(path, header.kind, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     return np.asarray(cv2.LUT(rgb, UNIT_LEVELS), dtype=np.float32)

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -46,6 +47,7 @@ class SourceCamera:
     depth_scale: float = 1.0  # levels per metre
     invalid_depth: tuple[int, ...] = ()  # levels that mean "no measurement", beside 0
     depth_size: tuple[int, int] | None = None  # (width, height) [px] where depth files differ from colour
+    rgb_size: tuple[int, int] | None = None  # (width, height) [px] where colour files differ from `camera`
 
 
 class RgbdSequence(Dataset):
@@ -53,8 +55,11 @@ class RgbdSequence(Dataset):
 
     Under `on_error="skip"` a frame with anything wrong (its image, its depth, its pose) is left out as a whole, so that
     each frame which does come carries all the `modalities`; `dataset[i]` of such a frame still raises.
-    Families whose files are no PNG or JPEG override `probe`, `read_rgb` and `read_depth`.
+    Families whose files are no PNG or JPEG override `probe_rgb`, `probe_depth`, `read_rgb` and `read_depth`.
     """
+
+    may_be_grey: ClassVar[bool] = False
+    """Whether one channel is an image too; where it is not, it is somebody's mask or preview."""
 
     def __init__(
         self,
@@ -69,7 +74,9 @@ class RgbdSequence(Dataset):
         self.records = _selected(records, config.frames, name)
         self.faults = tuple(faults)
         self.source = source
-        self._fit = ImageFit(source.camera, config.size, source.depth_size, config.max_depth)
+        self._fit = ImageFit(
+            source.camera, config.size, source.depth_size, config.max_depth, config.crop, source.rgb_size
+        )
         self._name = name
 
     @property
@@ -79,7 +86,7 @@ class RgbdSequence(Dataset):
 
     @property
     def camera(self) -> Camera:
-        """The camera of every frame: undistorted and resized."""
+        """The camera of every frame: undistorted, cropped and resized."""
         return self._fit.camera
 
     @property
@@ -130,13 +137,21 @@ class RgbdSequence(Dataset):
 
     def probe(self, record: Record) -> None:
         """Raise a DataError for what the headers of a record's files give away."""
-        self._hold_to_size(record.rgb, probe_rgb(record.rgb).size, self._fit.rgb_size)
+        self._hold_to_size(record.rgb, self.probe_rgb(record.rgb), self._fit.rgb_size)
         if record.depth is not None:
-            self._hold_to_size(record.depth, probe_depth(record.depth).size, self._fit.depth_size)
+            self._hold_to_size(record.depth, self.probe_depth(record.depth), self._fit.depth_size)
+
+    def probe_rgb(self, path: Path) -> tuple[int, int]:
+        """Return the width, height [px] of a colour file without decoding it; DataError where it is damaged."""
+        return probe_rgb(path, self.may_be_grey).size
+
+    def probe_depth(self, path: Path) -> tuple[int, int]:
+        """Return the width, height [px] of a depth file without decoding it; DataError where it is damaged."""
+        return probe_depth(path).size
 
     def read_rgb(self, path: Path) -> Float32[np.ndarray, "h w 3"]:
         """Read a colour file at its own size, in [0, 1]."""
-        return read_rgb(path)
+        return read_rgb(path, self.may_be_grey)
 
     def read_depth(self, path: Path) -> Float32[np.ndarray, "h w"]:
         """Read a depth file at its own size [m]."""

@@ -94,7 +94,8 @@ class DatasetContract:
     def test_carries_what_it_says(self) -> None:
         dataset = self.make_dataset()
         for frame in dataset.frames():
-            carried = {"rgb": frame.rgb, "depth": frame.depth, "pose": frame.T_world_camera_gt, "imu": frame.imu}
+            carried: dict[str, object] = {"rgb": frame.rgb, "depth": frame.depth, "pose": frame.T_world_camera_gt}
+            carried |= {"imu": frame.imu, "stereo": frame.stereo}
             lacking = sorted(m for m in dataset.modalities if carried[m] is None)
             assert not lacking, f"frame {frame.index} lacks {lacking}, which modalities promise"
 
