@@ -11,7 +11,7 @@ from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3, so3
 from xrdslam.core.mapping import GradientMapping, MappingProblem
 from xrdslam.core.model import Model
-from xrdslam.core.optimisation import ParameterGroup
+from xrdslam.core.optimisation import GroupedOptimiser, ParameterGroup
 from xrdslam.testing import ToyModel, ToyRayModel, toy_sequence
 
 MODELS = [ToyModel, ToyRayModel]
@@ -206,3 +206,40 @@ def test_a_map_without_losses_to_descend_is_left_alone() -> None:
     result = GradientMapping(config(iterations=2)).map(frame, NoGroups(), [])
     assert result.iterations == 2
     assert math.isfinite(result.loss)
+
+
+@pytest.mark.parametrize("model_class", MODELS)
+def test_after_the_last_frame_the_map_settles_and_no_pose_moves(
+    model_class: type[ToyModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates: list[float] = []
+    original = GroupedOptimiser.step
+
+    def noted(self: GroupedOptimiser, iteration: int) -> None:
+        rates.append(self.groups[0].schedule(iteration))
+        original(self, iteration)
+
+    window = frames(3)
+    model = model_class()
+    mapping = GradientMapping(
+        config(iterations=20, lr_pose_rotation=1e-2, lr_pose_translation=1e-2, final_iterations=30, final_rate=0.01)
+    )
+    for position, frame in enumerate(window):
+        mapping.map(frame, model, window[:position])
+    poses = [frame.pose.matrix().detach().clone() for frame in window]
+    monkeypatch.setattr(GroupedOptimiser, "step", noted)
+    result = mapping.finish(model, window)
+    assert result.iterations == len(rates) == 30
+    assert result.poses == {}
+    assert rates[0] == 1
+    assert rates[15] == pytest.approx(0.1)
+    assert all(torch.equal(f.pose.matrix(), pose) for f, pose in zip(window, poses, strict=True))
+
+
+def test_without_final_iterations_nothing_happens_after_the_last_frame() -> None:
+    window, model = frames(1), ToyModel()
+    mapping = GradientMapping(config(iterations=5))
+    mapping.map(window[0], model, [])
+    before = [p.detach().clone() for p in model.parameters()]
+    assert mapping.finish(model, window).iterations == 0
+    assert all(torch.equal(p, q) for p, q in zip(model.parameters(), before, strict=True))

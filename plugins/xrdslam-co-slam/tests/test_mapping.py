@@ -137,3 +137,14 @@ def test_a_map_of_whole_images_is_refused_before_the_first_step() -> None:
 def test_bounds_that_are_no_box_are_refused(bounds: list[float]) -> None:
     with pytest.raises(ConfigError, match=r"algo\.map\.bounds"):
         CoSlamMapConfig(bounds=bounds)
+
+
+def test_the_map_settles_on_every_keyframes_rays_after_the_last_frame() -> None:
+    algorithm = _run(_algorithm(final_iterations=7), count=3)
+    assert algorithm.mapping.bank.indices == [0, 1], "the last keyframe's rays are not banked yet"
+    final = algorithm.trajectory.current()
+    table = algorithm.model.field.table.detach().clone()
+    algorithm.finish()
+    assert algorithm.mapping.bank.indices == [0, 1, 2]
+    assert (algorithm.model.field.table - table).abs().max() > 0
+    assert torch.equal(algorithm.trajectory.current(), final)

@@ -1,5 +1,6 @@
 """Improving the map by a frame."""
 
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,13 @@ from xrdslam.core.dataset import Modality
 from xrdslam.core.frame import Frame
 from xrdslam.core.keyframes import select_keyframes
 from xrdslam.core.model import Model
-from xrdslam.core.optimisation import GroupedOptimiser, IterativeOptimisation, ParameterGroup
+from xrdslam.core.optimisation import (
+    GroupedOptimiser,
+    IterativeOptimisation,
+    ParameterGroup,
+    exponential_decay,
+    product,
+)
 from xrdslam.core.sampling import sample_rays
 
 __all__ = ["GradientMapping", "MappingMethod", "MappingProblem", "MappingResult"]
@@ -69,6 +76,8 @@ class MappingProblem:
     is_first: bool
     anchor_index: int
     """The frame whose pose holds the world: it never moves."""
+    is_final: bool = False
+    """Whether the last frame has passed: no pose moves any more, and learning rates fall."""
     memory: dict[str, Any] = field(default_factory=dict)
 
 
@@ -96,17 +105,28 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
         poses = {f.index: f.pose.matrix().detach() for f in ([*moved, frame] if moved else [])}
         return MappingResult(optimum.iterations, float(optimum.loss), added, poses)
 
+    def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        """Let the map settle on all keyframes where `final_iterations` are set, its rates falling, poses fixed."""
+        if not self.config.final_iterations or not keyframes or model.size == 0:
+            return MappingResult()
+        problem = MappingProblem(model, list(keyframes), False, keyframes[0].index, is_final=True)
+        self._restore(problem)
+        optimum = self.optimise(problem)
+        return MappingResult(optimum.iterations, float(optimum.loss))
+
     def select(self, frame: Frame, keyframes: Sequence[Frame]) -> list[Frame]:
         """Choose the window."""
         return select_keyframes(self.config.keyframes, keyframes, frame, self.config.window, self.generator)
 
     def num_iterations(self, problem: MappingProblem) -> int:
+        if problem.is_final:
+            return self.config.final_iterations
         first = self.config.first_iterations or self.config.iterations
         return first if problem.is_first else self.config.iterations
 
     def movable(self, problem: MappingProblem) -> list[Frame]:
         """Return the frames whose poses are optimised: all but the anchor, where rates are set."""
-        if self.config.lr_pose_rotation == 0 and self.config.lr_pose_translation == 0:
+        if problem.is_final or (self.config.lr_pose_rotation == 0 and self.config.lr_pose_translation == 0):
             return []
         return [f for f in problem.window if f.index != problem.anchor_index]
 
@@ -124,7 +144,11 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
 
     def optimiser(self, problem: MappingProblem) -> GroupedOptimiser:
         """Build the optimiser: the map's anew or with its moments kept (`keep_optimiser`), the poses' always anew."""
-        built = GroupedOptimiser(self.groups(problem))
+        groups = self.groups(problem)
+        if problem.is_final:
+            fall = exponential_decay(self.config.final_rate, self.config.final_iterations)
+            groups = [dataclasses.replace(g, schedule=product(g.schedule, fall)) for g in groups]
+        built = GroupedOptimiser(groups)
         if self._optimiser is not None and self.config.keep_optimiser and not problem.is_first:
             built.take_moments(self._optimiser)
         self._optimiser = built

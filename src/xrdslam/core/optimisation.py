@@ -1,6 +1,7 @@
 """General iterative optimisation as overridable steps: batch, losses, step, schedule, keep the best."""
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ __all__ = [
     "constant",
     "exponential_decay",
     "piecewise",
+    "product",
 ]
 
 Schedule = Callable[[int], float]
@@ -39,6 +41,11 @@ def piecewise(factors: Sequence[tuple[int, float]]) -> Schedule:
     """Hold each factor from its iteration on: (0, 0.1), (60, 1.0) is a tenth for the first 60 iterations."""
     ordered = sorted(factors)
     return lambda iteration: next((f for start, f in reversed(ordered) if iteration >= start), 1.0)
+
+
+def product(*schedules: Schedule) -> Schedule:
+    """Multiply the factors of several schedules."""
+    return lambda iteration: math.prod(schedule(iteration) for schedule in schedules)
 
 
 @dataclass

@@ -86,6 +86,7 @@ class CoSlamMappingConfig(IterativeMappingConfig):
     pose_accumulate: int = 5
     num_pixels: int = 2048
     keep_optimiser: bool = True
+    final_iterations: int = 100
     bank_share: float = 0.05
     """Share of a keyframe's pixels that it leaves in the bank."""
     min_current_pixels: int = 100

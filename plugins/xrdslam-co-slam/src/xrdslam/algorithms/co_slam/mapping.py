@@ -31,9 +31,17 @@ class CoSlamMapping(GradientMapping):
 
     def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
         """Take the rays of keyframes that came since, then adjust."""
+        self._take_rays(keyframes)
+        return super().map(frame, model, keyframes)
+
+    def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        """Take the rays of the last keyframe too, then let the map settle on the bank."""
+        self._take_rays(keyframes)
+        return super().finish(model, keyframes)
+
+    def _take_rays(self, keyframes: Sequence[Frame]) -> None:
         for keyframe in keyframes[len(self.bank.indices) :]:
             self.bank.add(keyframe, self.config.bank_share, self.generator)
-        return super().map(frame, model, keyframes)
 
     def select(self, frame: Frame, keyframes: Sequence[Frame]) -> list[Frame]:
         """Take every keyframe."""
@@ -81,6 +89,8 @@ class CoSlamMapping(GradientMapping):
         if len(self.bank.indices) == 0:
             return sample_rays([frame], [frame.pose.matrix().detach()], total, self.generator)
         rotations, centers = self._poses(problem)
+        if problem.is_final:
+            return self.bank.draw(total, rotations, centers, self.generator)
         current = max(total // len(self.bank.indices), self.config.min_current_pixels)
         pose = torch.cat((torch.cat((rotations[-1], centers[-1, :, None]), 1), torch.eye(4).to(centers)[3:]))
         new = sample_rays([frame], [pose], current, self.generator)
