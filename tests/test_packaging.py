@@ -79,7 +79,9 @@ def test_a_wheel_holds_every_module_and_every_setting_and_no_root(wheels: dict[s
     held = set(zipfile.ZipFile(wheels[name]).namelist())
     source = DISTRIBUTIONS[name] / "src"
     needed = {
-        path.relative_to(source).as_posix() for kind in ("*.py", "*.yaml", "py.typed") for path in source.rglob(kind)
+        path.relative_to(source).as_posix()
+        for kind in ("*.py", "*.yaml", "*.css", "*.js", "py.typed")
+        for path in source.rglob(kind)
     }
     if name == "xrdslam":
         conf = ROOT / "conf"

@@ -174,6 +174,8 @@ class RunConfig:
     preset: str = "published"
     """What is laid over the published settings, such as fast."""
     run_dir: str = "???"
+    report: bool = True
+    """Write report.html at the end: the run on one page."""
 
     def __post_init__(self) -> None:
         require(self.seed >= 0, "seed", self.seed, "not be negative")

@@ -62,6 +62,8 @@ class AlgorithmInfo(Info):
     tracking: str = "constant_velocity"
     mapping: str = "none"
     paper: str = ""
+    published: str = ""
+    """`package:file.yaml` of figures that were published for it (see xrdslam.report.published)."""
 
     kind: ClassVar[str] = "algorithm"
     group: ClassVar[str] = "algo"

@@ -16,8 +16,9 @@ from xrdslam.core.model import Rendering, View
 from xrdslam.engine.context import Run
 from xrdslam.engine.profile import PROTOCOL
 from xrdslam.evaluation import EvalMetrics, Metrics, Trajectories
+from xrdslam.report.page import write_report
 
-__all__ = ["evaluate", "save_map", "save_trajectories"]
+__all__ = ["evaluate", "save_map", "save_report", "save_trajectories"]
 
 log = logging.getLogger(__name__)
 
@@ -94,3 +95,12 @@ def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
     return EvalMetrics(run.config.evaluation).evaluate(
         poses, render if renders else None, run.dataset, run.profile.metrics(), protocol, run.directory.path, surfaces
     )
+
+
+def save_report(run: Run) -> None:
+    """Write report.html. Whatever goes wrong is a warning: nothing that was computed depends on it."""
+    try:
+        write_report(run.directory.path, run.dataset.ground_truth_mesh)
+    except Exception as error:  # a fault of a picture must not fail a run that took hours
+        again = f"`python -m xrdslam.report {run.directory.path}` writes it again"
+        log.warning("report.html was not written (%s: %s); %s", type(error).__name__, error, again)

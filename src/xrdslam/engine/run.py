@@ -20,7 +20,7 @@ from xrdslam.core.registry import Registry, installed
 from xrdslam.engine.build import build_algorithm, build_dataset, resolve_device
 from xrdslam.engine.context import Run
 from xrdslam.engine.directory import RunDirectory
-from xrdslam.engine.results import evaluate, save_map, save_trajectories
+from xrdslam.engine.results import evaluate, save_map, save_report, save_trajectories
 from xrdslam.engine.sequential import run_sequential
 from xrdslam.evaluation import Metrics
 
@@ -79,6 +79,8 @@ def _carry_out(this: Run) -> RunSummary:
         raise
     _save(this)
     metrics = evaluate(this, with_rendering=not was_interrupted) if len(this.algorithm.trajectory) else {}
+    if this.config.report:
+        save_report(this)
     this.registry.notify("xrdslam_run_finished", run=this, metrics=metrics)
     return RunSummary(metrics, this.directory.path, was_interrupted)
 

@@ -42,6 +42,7 @@ from xrdslam.evaluation.trajectory import (
     is_finite,
     relative_pose_error,
 )
+from xrdslam.pictures.panels import Panels, chosen_frames, write_panels
 
 __all__ = ["EvalMetrics", "Trajectories"]
 
@@ -162,9 +163,12 @@ class EvalMetrics:
     ) -> MetricGroup:
         measure = RenderingMetrics(self.config.every, self.config.mask)
         poses = dict(zip(trajectories.frame_indices, torch.tensor(trajectories.final), strict=True))
+        kept = chosen_frames([index for index in poses if index % self.config.every == 0])
         try:
             for frame, rendering in rendered_frames(render, frames, poses, self.config.every):
                 row = measure.add(frame, rendering)
+                if run_dir is not None and self.config.pictures_every and frame.index in kept:
+                    _keep(run_dir / "renders" / "panels", frame, rendering)
                 if run_dir is not None and self.config.pictures_every and frame.index % self.config.pictures_every == 0:
                     _write_picture(run_dir / "renders" / f"frame_{frame.index:06d}.png", frame, rendering, row)
         except XrdslamError as error:
@@ -276,6 +280,15 @@ def _write_picture(path: Path, frame: EvaluatedFrame, rendering: Rendering, row:
     caption = "   ·   ".join([f"frame {frame.index}", *texts])
     figure = side_by_side(_array(frame.rgb), _array(rendering.rgb), depth, _array(rendering.depth), caption)
     write_figure(figure, path)
+
+
+def _keep(folder: Path, frame: EvaluatedFrame, rendering: Rendering) -> None:
+    """Keep what a report and a replay show of a frame."""
+    depth = None if frame.depth is None else _array(frame.depth)
+    rgb, rendered = (
+        np.rint(255 * np.clip(_array(image), 0, 1)).astype(np.uint8) for image in (frame.rgb, rendering.rgb)
+    )
+    write_panels(folder, Panels(frame.index, rgb, rendered, depth, _array(rendering.depth)))
 
 
 def _array(image: Tensor) -> NDArray[np.float32]:

@@ -19,6 +19,7 @@ def xrdslam_algorithms() -> list[AlgorithmInfo]:
             mapping="co_slam",
             paper="Wang, Wang and Agapito, Co-SLAM: Joint Coordinate and Sparse Parametric Encodings for Neural"
             " Real-Time SLAM, CVPR 2023",
+            published="xrdslam.algorithms.co_slam:published.yaml",
         )
     ]
 

@@ -18,6 +18,7 @@ def xrdslam_algorithms() -> list[AlgorithmInfo]:
             tracking="splatam",
             mapping="splatam",
             paper="Keetha et al., SplaTAM: Splat, Track & Map 3D Gaussians for Dense RGB-D SLAM, CVPR 2024",
+            published="xrdslam.algorithms.splatam:published.yaml",
         )
     ]
 

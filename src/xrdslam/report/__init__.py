@@ -1,0 +1,1 @@
+"""Reports: a run on one page, many runs in one table."""
