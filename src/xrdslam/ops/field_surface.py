@@ -14,8 +14,9 @@ from torch import Tensor
 from xrdslam.core.geometry import se3
 from xrdslam.core.model import Model, View
 from xrdslam.core.surface import TriangleMesh
+from xrdslam.ops.coordinate_hash import rehash
 from xrdslam.ops.isosurface import extract
-from xrdslam.ops.tsdf_kernels import SIDE, rehash
+from xrdslam.ops.tsdf_kernels import SIDE
 
 __all__ = ["field_surface", "rendered_points"]
 

@@ -3,8 +3,9 @@
 import numpy as np
 
 from xrdslam.core.surface import TriangleMesh
+from xrdslam.ops.coordinate_hash import find
 from xrdslam.ops.simd import kernel
-from xrdslam.ops.tsdf_kernels import SIDE, find
+from xrdslam.ops.tsdf_kernels import SIDE
 
 __all__ = ["extract"]
 

@@ -9,6 +9,7 @@ from xrdslam.core.camera import Camera
 from xrdslam.core.geometry import se3
 from xrdslam.core.surface import TriangleMesh
 from xrdslam.ops import tsdf_kernels as kernels
+from xrdslam.ops.coordinate_hash import rehash
 from xrdslam.ops.isosurface import extract
 
 __all__ = ["TsdfVolume"]
@@ -113,7 +114,7 @@ class TsdfVolume:
         size = 1 << (2 * capacity - 1).bit_length()
         self._keys = np.full(size, -1, np.int64)
         self._rows = np.full(size, -1, np.int32)
-        kernels.rehash(self._keys, self._rows, self._coords, count)
+        rehash(self._keys, self._rows, self._coords, count)
 
 
 def _grown(array: np.ndarray, capacity: int, count: int) -> np.ndarray:

@@ -7,47 +7,13 @@ samples; a hash table with open addressing leads from its coordinates to its row
 import numpy as np
 from numba import prange
 
+from xrdslam.ops.coordinate_hash import REACH, pack, slot_of
 from xrdslam.ops.simd import inline_kernel, kernel, parallel_kernel
 
-__all__ = ["SIDE", "allocate", "find", "integrate", "rehash"]
+__all__ = ["SIDE", "allocate", "integrate"]
 
 SIDE = 8
 """Samples along a block's edge."""
-_REACH = 1 << 20
-"""Block coordinates lie in [-_REACH, _REACH): 21 bits each."""
-
-
-@inline_kernel
-def _key(x: int, y: int, z: int) -> int:
-    return ((x + _REACH) << 42) | ((y + _REACH) << 21) | (z + _REACH)
-
-
-@kernel
-def _slot(keys: np.ndarray, key: int) -> np.int64:
-    """Return where a key is, or would be put; the table's length is a power of two."""
-    mask = len(keys) - 1
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing: the high bits are well mixed
-    slot = np.int64(mixed >> np.uint64(32)) & mask
-    while keys[slot] != key and keys[slot] != -1:
-        slot = (slot + 1) & mask
-    return slot
-
-
-@kernel
-def find(keys: np.ndarray, rows: np.ndarray, x: int, y: int, z: int) -> int:
-    """Return the row of a block, or -1."""
-    slot = _slot(keys, _key(x, y, z))
-    return rows[slot] if keys[slot] != -1 else -1
-
-
-@kernel
-def rehash(keys: np.ndarray, rows: np.ndarray, coords: np.ndarray, count: int) -> None:
-    """Enter the first `count` blocks into an empty table."""
-    for row in range(count):
-        key = _key(coords[row, 0], coords[row, 1], coords[row, 2])
-        slot = _slot(keys, key)
-        keys[slot] = key
-        rows[slot] = row
 
 
 @kernel
@@ -72,7 +38,7 @@ def allocate(
     height, width = depth.shape
     block_m = voxel_m * SIDE
     room = len(coords) - (int(np.ceil(2 * truncation_m / block_m)) + 2) ** 3
-    low, high, before = np.empty(3, np.int64), np.empty(3, np.int64), np.full(6, _REACH, np.int64)
+    low, high, before = np.empty(3, np.int64), np.empty(3, np.int64), np.full(6, REACH, np.int64)
     for pixel in range(start, height * width):
         v, u = divmod(pixel, width)
         z = depth[v, u]
@@ -85,7 +51,7 @@ def allocate(
             p = R[0] * x + R[1] * y + R[2] * z + t
             low[a], high[a] = int(np.floor((p - truncation_m) / block_m)), int(np.floor((p + truncation_m) / block_m))
             same &= low[a] == before[a] and high[a] == before[3 + a]
-            inside &= low[a] >= -_REACH and high[a] < _REACH
+            inside &= low[a] >= -REACH and high[a] < REACH
         if same or not inside:
             continue
         if count > room:
@@ -94,8 +60,8 @@ def allocate(
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
-                    key = _key(i, j, k)
-                    slot = _slot(keys, key)
+                    key = pack(i, j, k)
+                    slot = slot_of(keys, key)
                     if keys[slot] == -1:
                         keys[slot], rows[slot] = key, count
                         coords[count, 0], coords[count, 1], coords[count, 2] = i, j, k
