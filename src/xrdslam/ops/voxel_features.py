@@ -84,9 +84,7 @@ def features_backward(
             starts, order = torch.empty(len(grid) + 1, dtype=torch.int64), torch.empty(len(where), dtype=torch.int64)
             d_corners = torch.empty(len(grid), 8, table.shape[1])
             kernels.order_by_voxel(where, starts.numpy(), order.numpy())
-            kernels.voxel_gradient(
-                points, coords, grid.voxel_m, starts.numpy(), order.numpy(), g, d_corners.numpy()
-            )
+            kernels.voxel_gradient(points, coords, grid.voxel_m, starts.numpy(), order.numpy(), g, d_corners.numpy())
             kernels.gather_rows(starts.numpy(), corners, d_corners.numpy(), d_table.numpy())
     return d_points, d_table
 

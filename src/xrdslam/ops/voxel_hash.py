@@ -168,7 +168,10 @@ def traverse(
 def traverse_torch(grid: SparseVoxels, origins_world: Tensor, directions_world: Tensor, far: Tensor) -> RayHits:
     """Test every ray against every voxel's slabs: the twin of the kernel."""
     low = grid.coords.to(far.device).double()
-    origins, directions = origins_world.detach().double() / grid.voxel_m, directions_world.detach().double() / grid.voxel_m
+    origins, directions = (
+        origins_world.detach().double() / grid.voxel_m,
+        directions_world.detach().double() / grid.voxel_m,
+    )
     start = torch.zeros(len(far), len(low), dtype=torch.float64, device=far.device)
     end = far.detach().double()[:, None].expand_as(start)
     for a in range(3):
@@ -177,7 +180,9 @@ def traverse_torch(grid: SparseVoxels, origins_world: Tensor, directions_world: 
         inside = (low[:, a] <= o) & (o < low[:, a] + 1)
         still = d == 0
         start = torch.maximum(start, torch.where(still, -torch.inf, torch.minimum(one, two)))
-        end = torch.minimum(end, torch.where(still, torch.where(inside, torch.inf, -torch.inf), torch.maximum(one, two)))
+        end = torch.minimum(
+            end, torch.where(still, torch.where(inside, torch.inf, -torch.inf), torch.maximum(one, two))
+        )
     is_hit = end - start > _SHORTEST
     order = torch.where(is_hit, start, torch.inf).argsort(stable=True, dim=1)
     is_hit, start, end = (t.gather(1, order) for t in (is_hit, start, end))

@@ -1,4 +1,4 @@
-"""Sparse voxels on the CPU: insertion (one thread, in the points' order), look-up and ray traversal (rays in parallel)."""
+"""Sparse voxels on the CPU: insertion by one thread in the points' order, look-up and ray traversal in parallel."""
 
 import numba
 import numpy as np
@@ -61,7 +61,7 @@ def insert(
     vertices: np.ndarray,
     counts: np.ndarray,
 ) -> int:
-    """Enter the voxels of points in their order; return the point to go on with, earlier than the last where it is full.
+    """Enter the voxels of points in their order; return the point to go on with, where there was no more room.
 
     A point that is not finite, or farther than REACH voxels from the origin, has none.
     """
@@ -103,8 +103,10 @@ def insert_cells(
 
 
 @parallel_kernel
-def locate(points: np.ndarray, voxel_m: float, slack: float, keys: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
-    """Write the voxel of each point, -1 where there is none; within `slack` [voxels] of a face the neighbour will do."""
+def locate(
+    points: np.ndarray, voxel_m: float, slack: float, keys: np.ndarray, rows: np.ndarray, out: np.ndarray
+) -> None:
+    """Write each point's voxel, -1 where there is none; within `slack` [voxels] of a face the neighbour will do."""
     for n in numba.prange(len(points)):
         out[n] = -1
         p = (np.float64(points[n, 0]) / voxel_m, np.float64(points[n, 1]) / voxel_m, np.float64(points[n, 2]) / voxel_m)
@@ -121,7 +123,7 @@ def locate(points: np.ndarray, voxel_m: float, slack: float, keys: np.ndarray, r
 
 
 @inline_kernel
-def _shift(coordinate: np.float64, slack: np.float64, far: int) -> np.float64:
+def _shift(coordinate: float, slack: float, far: int) -> float:
     """Return how to come across the nearer face, 0 where `far` is 0 or the face is not within the slack."""
     if far == 0:
         return 0.0
@@ -132,7 +134,7 @@ def _shift(coordinate: np.float64, slack: np.float64, far: int) -> np.float64:
 
 
 @inline_kernel
-def _crossing(cell: int, origin: np.float64, direction: np.float64) -> np.float64:
+def _crossing(cell: int, origin: float, direction: float) -> float:
     """Return where a ray leaves a cell along one axis."""
     if direction == 0:
         return np.inf
@@ -217,9 +219,7 @@ def count_hits(
     """Count each ray's hits."""
     voxels, places = np.empty(0, np.int64), np.empty(0, np.float32)
     for ray in numba.prange(len(origins)):
-        counts[ray] = _follow(
-            ray, origins, directions, far, voxel_m, box, keys, rows, False, 0, voxels, places, places
-        )
+        counts[ray] = _follow(ray, origins, directions, far, voxel_m, box, keys, rows, False, 0, voxels, places, places)
 
 
 @parallel_kernel

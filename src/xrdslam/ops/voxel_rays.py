@@ -49,10 +49,7 @@ def sample_hits(
     num_cuts = _num_cuts(hits, step, max_samples)
     cut_offsets = torch.cat((num_cuts.new_zeros(1), num_cuts.cumsum(0)))
     total = int(cut_offsets[-1])
-    if generator is None:
-        noise = torch.full((total,), 0.5)
-    else:
-        noise = torch.rand(total, generator=generator) * 0.998 + 0.001
+    noise = torch.full((total,), 0.5) if generator is None else torch.rand(total, generator=generator) * 0.998 + 0.001
     noise = noise.to(hits.entries)
     if not _on_cpu(hits.entries, hits.exits):
         return cut_torch(hits, step, cut_offsets, noise, max_samples)

@@ -1,0 +1,1 @@
+"""Vox-Fusion for xrdslam."""

@@ -1,0 +1,1 @@
+"""Hydra configuration of Vox-Fusion: what other datasets and presets change."""
