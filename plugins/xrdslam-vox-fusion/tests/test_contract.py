@@ -16,10 +16,11 @@ class TestVoxFusion(AlgorithmContract):
         "map.width": 32,
         "map.step_m": 0.04,
         "map.truncation_m": 0.1,
-        "tracking.num_pixels": 300,
-        "mapping.first_iterations": 150,
-        "mapping.iterations": 10,
-        "mapping.num_pixels": 300,
+        "tracking.iterations": 15,
+        "tracking.num_pixels": 200,
+        "mapping.first_iterations": 80,
+        "mapping.iterations": 5,
+        "mapping.num_pixels": 200,
     }
     accuracy = 0.06
 

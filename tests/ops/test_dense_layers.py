@@ -1,0 +1,45 @@
+"""Layers of small networks: both libraries give one result."""
+
+import pytest
+import torch
+
+from xrdslam.ops.dense_layers import linear, linear_torch, outer_sum, outer_sum_torch
+
+
+@pytest.mark.parametrize("rows", [0, 1, 777])
+@pytest.mark.parametrize("relu", [False, True])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_layers_equal_their_twin(rows: int, relu: bool, dtype: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(0)
+    inputs, weight = torch.randn(rows, 16, generator=generator), torch.randn(16, 128, generator=generator)
+    bias = torch.randn(128, generator=generator)
+    given = inputs.to(dtype), weight.to(dtype).mT, bias.to(dtype)  # a transposed view, as in a backward pass
+    torch.testing.assert_close(linear(*given, relu), linear_torch(*given, relu), rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(linear(*given[:2]), linear_torch(*given[:2]), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 777])
+def test_sums_of_outer_products_equal_their_twin(rows: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    left, right = torch.randn(rows, 128, generator=generator), torch.randn(rows, 16, generator=generator)
+    torch.testing.assert_close(outer_sum(left, right), outer_sum_torch(left, right), rtol=1e-4, atol=1e-4)
+
+
+def test_bits_do_not_depend_on_the_number_of_threads() -> None:
+    generator = torch.Generator().manual_seed(0)
+    inputs, weight = torch.randn(4096, 128, generator=generator), torch.randn(128, 128, generator=generator)
+    before, results = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            results.append((linear(inputs, weight, weight[0], relu=True), outer_sum(inputs, inputs)))
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(results[0][0], results[1][0])
+    assert torch.equal(results[0][1], results[1][1])
+
+
+def test_layers_carry_no_gradient() -> None:
+    inputs = torch.randn(5, 4, requires_grad=True)
+    assert not linear(inputs, torch.randn(3, 4)).requires_grad
+    assert not outer_sum(inputs, inputs).requires_grad
