@@ -29,7 +29,7 @@ from xrdslam.core.registry import Registry
 from xrdslam.core.tracking import GradientTracking, TrackingResult
 from xrdslam.datasets.config import DatasetConfig
 from xrdslam.engine import Run, run
-from xrdslam.evaluation import EvaluationConfig
+from xrdslam.evaluation import EvaluationConfig, EvaluationError
 from xrdslam.testing.toy_sequence import ToySequence, toy_sequence
 
 
@@ -260,3 +260,26 @@ def test_an_interruption_before_the_first_frame_is_no_fault(
     summary = run(config_of(), tmp_path, registry)
     assert summary.exit_status == 130
     assert summary.metrics == {}
+
+
+def test_held_out_frames_are_tracked_kept_from_the_map_and_compared_apart(
+    tmp_path: Path, registry: Registry, toy: Toy
+) -> None:
+    evaluation = EvaluationConfig(every=1, held_out=3, pictures_every=0)
+    metrics = run(config_of(evaluation=evaluation), tmp_path, registry).metrics
+    assert [what for what in toy.heard if what.startswith("mapped")] == ["mapped 0", "mapped 1", "mapped 3", "mapped 4"]
+    assert metrics["trajectory/protocol"]["frames"] == 6
+    assert json.loads((tmp_path / "keyframes.json").read_text())["keyframes"] == [0, 4]  # 2 would have been one
+    counts = {kind: metrics[f"rendering/{kind}/protocol"]["frames"] for kind in ("train", "held_out")}
+    assert counts == {"train": 4, "held_out": 2}
+    assert metrics["rendering/held_out/psnr_db"] != metrics["rendering/train/psnr_db"]
+    rows = (tmp_path / "renders" / "metrics.csv").read_text().splitlines()
+    assert [row.rpartition(",")[2] for row in rows[1:]] == ["train", "train", "held_out", "train", "train", "held_out"]
+
+
+def test_lpips_weights_that_are_not_there_are_refused_before_the_first_frame(
+    tmp_path: Path, registry: Registry, toy: Toy
+) -> None:
+    with pytest.raises(EvaluationError, match="no file and no folder"):
+        run(config_of(evaluation=EvaluationConfig(lpips_weights=str(tmp_path / "none.npz"))), tmp_path, registry)
+    assert toy.heard == []

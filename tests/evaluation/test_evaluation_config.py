@@ -22,6 +22,16 @@ from xrdslam.evaluation.config import EvaluationConfig
         ("mask", "valid"),
         ("mask", ""),
         ("trajectory_pictures", 1),
+        ("held_out", 1),
+        ("held_out", -2),
+        ("culling", "occlusion"),
+        ("alignment", "umeyama"),
+        ("icp", True),
+        ("virtual_views", -1),
+        ("mesh_samples", 1.5),
+        ("cull_margin_m", 0.0),
+        ("max_time_difference_s", -0.02),
+        ("seed", -1),
     ],
 )
 def test_nonsense_is_refused_by_its_dotted_name_and_value(name: str, value: object) -> None:
@@ -33,7 +43,8 @@ def test_nonsense_is_refused_by_its_dotted_name_and_value(name: str, value: obje
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("every", 1), ("pictures_every", 0), ("rpe_delta_frames", 30), ("mask", "none")]
+    ("name", "value"),
+    [("every", 1), ("pictures_every", 0), ("rpe_delta_frames", 30), ("mask", "none"), ("held_out", 2)],
 )
 def test_the_limits_themselves_are_allowed(name: str, value: object) -> None:
     assert getattr(EvaluationConfig(**{name: value}), name) == value

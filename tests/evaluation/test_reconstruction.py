@@ -9,9 +9,10 @@ from xrdslam.core.camera import Camera
 from xrdslam.core.errors import DataError
 from xrdslam.core.surface import TriangleMesh
 from xrdslam.evaluation.alignment import Alignment
+from xrdslam.evaluation.culling import DepthView, Seen, seen, seen_under
 from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.metrics import MetricGroup
-from xrdslam.evaluation.reconstruction import DepthView, compare_surfaces, sampled, seen
+from xrdslam.evaluation.reconstruction import compare_surfaces, moved, sampled
 from xrdslam.evaluation.surface_files import read_mesh
 
 CAMERA = Camera(100.0, 100.0, 99.5, 99.5, 200, 200)
@@ -28,9 +29,13 @@ def _view(z: float = 2.0) -> DepthView:
     return DepthView(CAMERA, np.eye(4), np.full((200, 200), z, np.float32))
 
 
+def _by_the_view(margin_m: float = 0.06) -> Seen:
+    return seen_under("frustum_occlusion", [_view()], [], margin_m)
+
+
 def _figures(estimate: TriangleMesh, truth: TriangleMesh, margin_m: float = 0.06) -> dict[str, float]:
     group = MetricGroup("reconstruction")
-    compare_surfaces(estimate, truth, [_view()], Alignment.identity(), SAMPLES, margin_m).add_to(group)
+    compare_surfaces(estimate, truth, _by_the_view(margin_m), SAMPLES).add_to(group)
     return {key: float(value) for key, value in group.values.items() if value is not None}
 
 
@@ -79,10 +84,10 @@ def test_a_wall_before_the_wall_counts() -> None:
 
 def test_the_estimate_is_aligned_first_and_a_mirror_is_no_alignment() -> None:
     truth = _square(2.0, low=0.2)
-    moved = TriangleMesh(truth.vertices - np.array([5, 0, 0], np.float32), truth.faces)
+    elsewhere = TriangleMesh(truth.vertices - np.array([5, 0, 0], np.float32), truth.faces)
     shift = Alignment(1.0, np.eye(3), np.array([5.0, 0, 0]))
     group = MetricGroup("reconstruction")
-    compare_surfaces(moved, truth, [_view()], shift, SAMPLES, 0.06).add_to(group)
+    compare_surfaces(moved(elsewhere, shift), truth, _by_the_view(), SAMPLES).add_to(group)
     assert float(group.values["accuracy_cm"] or 0) < 0.8
     mirrored = TriangleMesh(truth.vertices * np.array([-1, 1, 1], np.float32), truth.faces)
     assert _figures(mirrored, truth)["accuracy_cm"] > 20
@@ -90,8 +95,7 @@ def test_the_estimate_is_aligned_first_and_a_mirror_is_no_alignment() -> None:
 
 def test_what_counts_as_seen() -> None:
     points = np.array([[0, 0, 2], [0, 0, 2.05], [0, 0, 2.2], [0, 0, -2], [3, 0, 2], [0.5, 0, 1], [np.nan, 0, 1]])
-    with np.errstate(invalid="ignore"):
-        visible = seen(points, [_view()], 0.06)
+    visible = seen(points, [_view()], 0.06)
     assert visible.tolist() == [True, True, False, False, False, True, False]
     assert not seen(points, [_view(0.0)], 0.06).any(), "a pixel without depth saw nothing"
 

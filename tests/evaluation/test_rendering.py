@@ -12,8 +12,9 @@ from torch.utils.data import Dataset
 
 from xrdslam.core.camera import Camera
 from xrdslam.core.model import Rendering
-from xrdslam.evaluation import EvaluationError, RenderingMetrics
-from xrdslam.evaluation.rendering import rendered_frames
+from xrdslam.evaluation import EvaluationConfig, EvaluationError, RenderingMetrics, Trajectories
+from xrdslam.evaluation.rendering import Frames, Render
+from xrdslam.evaluation.survey import Survey
 
 
 @dataclass
@@ -35,8 +36,16 @@ def rendering(frame: Shot, brighter: float = 0.1, deeper: float = 0.03) -> Rende
     return Rendering(frame.rgb + brighter, depth, torch.ones_like(depth))
 
 
-def poses(*indices: int) -> dict[int, Tensor]:
-    return {index: torch.eye(4, dtype=torch.float64) * torch.tensor([1.0, 1, 1, 1]) for index in indices}
+def poses(*indices: int) -> Trajectories:
+    known = np.tile(np.eye(4), (len(indices), 1, 1))
+    return Trajectories(known, known.copy(), indices=indices)
+
+
+def surveyed(render: Render, frames: Frames, trajectories: Trajectories, every: int) -> list[int]:
+    """Return the indices of the frames that were compared."""
+    survey = Survey(EvaluationConfig(every=every), trajectories)
+    survey.go(render, frames)
+    return [row.index for row in survey.metrics["train"].rows]
 
 
 def test_a_row_of_one_frame() -> None:
@@ -137,35 +146,39 @@ def test_the_renderer_gets_a_camera_and_a_pose_and_nothing_else() -> None:
         return rendering(shot())
 
     frames = [shot(0), shot(5)]
-    T_world_camera = torch.eye(4, dtype=torch.float64)
-    T_world_camera[0, 3] = 7.0
-    list(rendered_frames(render, frames, {0: T_world_camera, 5: T_world_camera}, every=5))
+    trajectories = poses(0, 5)
+    trajectories.final[:, 0, 3] = 7.0
+    surveyed(render, frames, trajectories, every=5)
     assert len(calls) == 2
     for camera, pose in calls:
         assert camera == frames[0].camera
         assert pose.dtype == torch.float32  # the frame's
-        assert torch.equal(pose.double(), T_world_camera)
+        assert torch.equal(pose.double(), torch.from_numpy(trajectories.final[0]))
 
 
 def test_nothing_is_recorded_for_gradients() -> None:
     weight = torch.ones(1, requires_grad=True)
-    (_, seen), *_ = rendered_frames(
-        lambda _c, _T: Rendering(shot().rgb * weight, shot().depth, shot().depth), [shot()], poses(0), 1
-    )
-    assert not seen.rgb.requires_grad
+    recorded = []
+
+    def render(camera: Camera, T_world_camera: Tensor) -> Rendering:
+        rgb = shot().rgb * weight
+        recorded.append(rgb.requires_grad)
+        return Rendering(rgb, shot().depth, shot().depth)
+
+    surveyed(render, [shot()], poses(0), 1)
+    assert recorded == [False]
 
 
 @pytest.mark.parametrize(("every", "expected"), [(1, list(range(11))), (5, [0, 5, 10]), (50, [0])])
 def test_the_stride_takes_multiples_the_last_frame_too(every: int, expected: list[int]) -> None:
-    seen = rendered_frames(lambda _c, _T: rendering(shot()), [shot(i) for i in range(11)], poses(*range(11)), every)
-    assert [frame.index for frame, _ in seen] == expected
+    frames = [shot(i) for i in range(11)]
+    assert surveyed(lambda _c, _T: rendering(shot()), frames, poses(*range(11)), every) == expected
 
 
 def test_frames_without_a_pose_are_not_rendered() -> None:
     known = poses(0, 5, 10)
-    known[5][0, 0] = math.nan
-    seen = rendered_frames(lambda _c, _T: rendering(shot()), [shot(i) for i in (0, 5, 10, 15)], known, 5)
-    assert [frame.index for frame, _ in seen] == [0, 10]
+    known.final[1, 0, 0] = math.nan
+    assert surveyed(lambda _c, _T: rendering(shot()), [shot(i) for i in (0, 5, 10, 15)], known, 5) == [0, 10]
 
 
 def test_a_dataset_is_read_only_where_needed() -> None:
@@ -177,8 +190,8 @@ def test_a_dataset_is_read_only_where_needed() -> None:
             return shot(index)
 
     sequence = Sequence()
-    list(rendered_frames(lambda _c, _T: rendering(shot()), sequence, poses(*range(12)), 5))
-    assert sequence.read == [0, 5, 10]
+    assert surveyed(lambda _c, _T: rendering(shot()), sequence, poses(*range(12)), 5) == [0, 5, 10]
+    assert sorted(sequence.read) == [0, 5, 10]
 
 
 def test_without_measured_depth_the_numbers_say_so() -> None:
@@ -202,7 +215,14 @@ def test_a_frame_with_an_empty_depth_image_is_no_perfect_frame() -> None:
     assert metrics["rendering/train/psnr_db"] == pytest.approx(20.0, abs=1e-5)
     protocol = metrics["rendering/train/protocol"]
     assert protocol["frames"] == 2
-    assert protocol["frames_in_mean"] == {"psnr_db": 1, "ssim": 1, "ms_ssim": 0, "depth_l1_cm": 1}
+    assert protocol["frames_in_mean"] == {
+        "psnr_db": 1,
+        "ssim": 1,
+        "ms_ssim": 0,
+        "lpips_alex": 0,
+        "lpips_squeeze": 0,
+        "depth_l1_cm": 1,
+    }
     assert "psnr_db" in protocol["left_out_because"]
 
 

@@ -64,6 +64,8 @@ class Algorithm(ABC):
         self.device = torch.device(device)
         self.trajectory = Trajectory()
         self.keyframes: list[Frame] = []
+        self.hold_out = 0
+        """Every n-th frame is tracked and kept from the map (`is_held_out`); 0: none."""
 
     @abstractmethod
     def build_model(self, scene: Scene, frame: Frame) -> Model:
@@ -143,6 +145,8 @@ class Algorithm(ABC):
 
     def map(self, frame: Frame) -> MappingResult | None:
         """Map a frame where it is due; write back the poses that moved; add it to the keyframes where it is one."""
+        if self.is_held_out(frame.index):
+            return None
         result = None
         is_sound = frame.fault(self.mapping.needs if self.mapping.changes_map else ()) is None
         if is_sound and self.is_mapped(frame):
@@ -153,6 +157,13 @@ class Algorithm(ABC):
             self.trajectory.make_keyframe(frame.index)
             self.keyframes.append(frame)
         return result
+
+    def is_held_out(self, index: int) -> bool:
+        """Say whether a frame is kept from the map: the last of every `hold_out`, never the one that begins the map.
+
+        The last, so that a method that maps every k-th frame, counted from 0, loses none of them where k divides n.
+        """
+        return self.hold_out > 1 and index % self.hold_out == self.hold_out - 1 and index != self.trajectory.first
 
     def is_mapped(self, frame: Frame) -> bool:
         """Say whether the frame goes into the map: the first, every `map_every`-th, and never a lost one."""

@@ -44,6 +44,11 @@ class Trajectory:
         """Frame indices in the order of tracking."""
         return list(self._entries)
 
+    @property
+    def first(self) -> int | None:
+        """The index of the frame that it begins with."""
+        return next(iter(self._entries), None)
+
     def lost(self, index: int) -> bool:
         """Say whether a frame kept a predicted pose because tracking failed."""
         return self._entries[index].is_lost

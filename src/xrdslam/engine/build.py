@@ -24,15 +24,19 @@ def build_dataset(config: RunConfig, registry: Registry | None = None) -> Datase
 
 
 def build_algorithm(
-    config: AlgorithmConfig, seed: int = 0, device: str = "cpu", registry: Registry | None = None
+    config: AlgorithmConfig, seed: int = 0, device: str = "cpu", registry: Registry | None = None, hold_out: int = 0
 ) -> Algorithm:
-    """Compose an algorithm; tracking and mapping draw from streams of their own, both fixed by `seed`."""
+    """Compose an algorithm; tracking and mapping draw from streams of their own, both fixed by `seed`.
+
+    `hold_out` keeps every n-th frame from the map (`evaluation.held_out`).
+    """
     registry = registry or installed()
     seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(2)]
     tracking = registry.tracking_method(config.tracking.name).load()(config.tracking, seed=seeds[0])
     mapping = registry.mapping_method(config.mapping.name).load()(config.mapping, seed=seeds[1])
     algorithm = registry.algorithm(config.name).load()(config, tracking, mapping, device)
     assert isinstance(algorithm, Algorithm), f"{type(algorithm).__name__} is no Algorithm"
+    algorithm.hold_out = hold_out
     return algorithm
 
 

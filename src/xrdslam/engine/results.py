@@ -1,7 +1,7 @@
 """What a run leaves behind: trajectories, the map, figures."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,10 @@ from xrdslam.core.files import replaced, write_text
 from xrdslam.core.model import Rendering, View
 from xrdslam.engine.context import Run
 from xrdslam.engine.profile import PROTOCOL
-from xrdslam.evaluation import EvalMetrics, Metrics, Trajectories
+from xrdslam.evaluation import EvalMetrics, JsonValue, Metrics, Trajectories
 from xrdslam.report.page import write_report
 
-__all__ = ["evaluate", "save_map", "save_report", "save_trajectories"]
+__all__ = ["evaluate", "save_map", "save_report", "save_trajectories", "trajectories_of"]
 
 log = logging.getLogger(__name__)
 
@@ -67,34 +67,58 @@ def _save_state(path: Path, model: torch.nn.Module) -> None:
         save_file(state, temporary)
 
 
-def evaluate(run: Run, with_rendering: bool = True) -> Metrics:
-    """Measure, write metrics.json and the pictures."""
-    trajectory, model = run.algorithm.trajectory, run.algorithm.model
-    truth = np.stack([run.ground_truth[index].numpy() for index in trajectory.indices])
-    poses = Trajectories(
-        online=trajectory.online().numpy(),
-        final=trajectory.current().numpy(),
-        ground_truth=truth if np.isfinite(truth).all((1, 2)).any() else None,
-        is_lost=trajectory.is_lost.numpy(),
-        indices=trajectory.indices,
-    )
+def evaluate(
+    run: Run,
+    with_rendering: bool = True,
+    true_mesh: Path | None = None,
+    profile_protocol: Mapping[str, JsonValue] | None = None,
+) -> Metrics:
+    """Measure, write metrics.json and the pictures.
+
+    `true_mesh` takes the place of the dataset's; `profile_protocol` says under which conditions the run went, where
+    that was not now.
+    """
+    model = run.algorithm.model
 
     def render(camera: Camera, T_world_camera: Tensor) -> Rendering:
         return model.render(camera, T_world_camera.to(run.device))
 
-    estimate, true_mesh = run.directory.map / "mesh.ply", run.dataset.ground_truth_mesh
-    surfaces = (estimate, true_mesh) if true_mesh is not None and estimate.is_file() else None
+    estimate, truth = run.directory.map / "mesh.ply", true_mesh or run.dataset.ground_truth_mesh
     renders = with_rendering and model.size > 0 and model.supports("render")
-    protocol = {
+    return EvalMetrics(run.config.evaluation).evaluate(
+        trajectories_of(run),
+        render if renders else None,
+        run.dataset,
+        dict(run.profile.metrics()),
+        profile_protocol or _conditions(run),
+        run.directory.path,
+        (estimate, truth) if truth is not None and estimate.is_file() else None,
+    )
+
+
+def trajectories_of(run: Run) -> Trajectories:
+    """Return what is known of a run's poses."""
+    trajectory, indices = run.algorithm.trajectory, run.algorithm.trajectory.indices
+    truth = np.stack([run.ground_truth[index].numpy() for index in indices])
+    return Trajectories(
+        online=trajectory.online().numpy(),
+        final=trajectory.current().numpy(),
+        ground_truth=truth if np.isfinite(truth).all((1, 2)).any() else None,
+        is_lost=trajectory.is_lost.numpy(),
+        indices=indices,
+        is_held_out=np.array([run.algorithm.is_held_out(index) for index in indices]),
+        sequence_frames=len(run.dataset),
+    )
+
+
+def _conditions(run: Run) -> dict[str, JsonValue]:
+    return {
         **PROTOCOL,
         "engine": run.config.engine.name,
         "threads": str(torch.get_num_threads()),
         "device": run.device,
         "preset": run.config.preset,
     }
-    return EvalMetrics(run.config.evaluation).evaluate(
-        poses, render if renders else None, run.dataset, run.profile.metrics(), protocol, run.directory.path, surfaces
-    )
 
 
 def save_report(run: Run) -> None:

@@ -22,7 +22,7 @@ from xrdslam.engine.context import Run
 from xrdslam.engine.directory import RunDirectory
 from xrdslam.engine.results import evaluate, save_map, save_report, save_trajectories
 from xrdslam.engine.sequential import run_sequential
-from xrdslam.evaluation import Metrics
+from xrdslam.evaluation import EvalMetrics, Metrics
 
 __all__ = ["RunSummary", "run"]
 
@@ -53,9 +53,10 @@ def run(config: RunConfig, run_dir: Path, registry: Registry | None = None) -> R
     prepare(config)
     registry = registry or installed()
     dataset = build_dataset(config, registry)
-    algorithm = build_algorithm(config.algo, config.seed, device, registry)
+    algorithm = build_algorithm(config.algo, config.seed, device, registry, config.evaluation.held_out)
     this = Run(config, RunDirectory(run_dir), dataset, algorithm, registry, device)
     algorithm.check(this.scene)
+    EvalMetrics(config.evaluation).check()
     this.directory.write_config(config)
     this.directory.write_environment(config, device)
     with _log_to(run_dir / "log.txt"):

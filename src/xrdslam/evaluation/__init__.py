@@ -8,11 +8,12 @@ if TYPE_CHECKING:
     from xrdslam.evaluation.comparison import side_by_side
     from xrdslam.evaluation.config import EvaluationConfig
     from xrdslam.evaluation.errors import EvaluationError
-    from xrdslam.evaluation.eval_metrics import EvalMetrics, Trajectories
+    from xrdslam.evaluation.eval_metrics import EvalMetrics
     from xrdslam.evaluation.image_quality import depth_l1_cm, ms_ssim, psnr, ssim
-    from xrdslam.evaluation.metrics import MetricGroup, Metrics, assemble, write_metrics
+    from xrdslam.evaluation.metrics import JsonValue, MetricGroup, Metrics, assemble, write_metrics
     from xrdslam.evaluation.plots import trajectory_figure, write_figure
     from xrdslam.evaluation.rendering import RenderingMetrics
+    from xrdslam.evaluation.trajectories import Trajectories
     from xrdslam.evaluation.trajectory import (
         RelativePoseError,
         TrajectoryError,
@@ -25,6 +26,7 @@ __all__ = [
     "EvalMetrics",
     "EvaluationConfig",
     "EvaluationError",
+    "JsonValue",
     "MetricGroup",
     "Metrics",
     "RelativePoseError",
@@ -49,12 +51,13 @@ _MODULES = {
     "alignment": ("Alignment", "umeyama"),
     "config": ("EvaluationConfig",),
     "errors": ("EvaluationError",),
-    "eval_metrics": ("EvalMetrics", "Trajectories"),
+    "eval_metrics": ("EvalMetrics",),
     "image_quality": ("depth_l1_cm", "ms_ssim", "psnr", "ssim"),
-    "metrics": ("MetricGroup", "Metrics", "assemble", "write_metrics"),
+    "metrics": ("JsonValue", "MetricGroup", "Metrics", "assemble", "write_metrics"),
     "plots": ("trajectory_figure", "write_figure"),
     "rendering": ("RenderingMetrics",),
     "comparison": ("side_by_side",),
+    "trajectories": ("Trajectories",),
     "trajectory": ("RelativePoseError", "TrajectoryError", "absolute_trajectory_error", "relative_pose_error"),
 }
 

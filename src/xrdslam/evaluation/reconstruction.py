@@ -1,24 +1,23 @@
 """How near a reconstructed surface is to the true one, and how much of it is there.
 
-Both surfaces are sampled evenly over their area, and samples are kept that some frame of the sequence saw: inside its
-image, with measured depth there, and not farther behind it than a margin (frustum and occlusion). What was never seen
-counts neither against a map nor for it; what was seen and is missing counts against its completion.
+Both surfaces are sampled evenly over their area (never at their vertices, which are dense where a mesh is fine), and
+samples are kept that count under a culling protocol. What was never seen counts neither against a map nor for it; what
+was seen and is missing counts against its completion.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import NDArray
 
-from xrdslam.core.camera import Camera
 from xrdslam.core.surface import TriangleMesh
 from xrdslam.evaluation.alignment import Alignment
+from xrdslam.evaluation.culling import Seen
 from xrdslam.evaluation.errors import EvaluationError
 from xrdslam.evaluation.metrics import MetricGroup
 
-__all__ = ["DENSITY", "MEASURES", "DepthView", "ReconstructionError", "compare_surfaces", "sampled", "seen"]
+__all__ = ["DENSITY", "MEASURES", "ReconstructionError", "compare_surfaces", "moved", "sampled", "seen_samples"]
 
 Points = Float[NDArray[np.float64], "n 3"]
 MEASURES = (
@@ -32,15 +31,6 @@ DENSITY = 5
 1.1 cm apart (half the root of the area of a sample), with five times as many 0.5 cm."""
 _ROUNDS = 12
 """Drawings of samples before the number asked for is given up: much of a large surface may never have been seen."""
-
-
-@dataclass(frozen=True, eq=False)
-class DepthView:
-    """What a frame measured, and from where."""
-
-    camera: Camera
-    T_world_camera: Float[NDArray[np.float64], "4 4"]
-    depth: Float[NDArray[np.float32], "h w"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,34 +57,35 @@ class ReconstructionError:
 def compare_surfaces(
     estimate: TriangleMesh,
     truth: TriangleMesh,
-    views: Iterable[DepthView],
-    alignment: Alignment,
+    seen: Seen,
     num_samples: int,
-    margin_m: float,
     seed: int = 0,
 ) -> ReconstructionError:
-    """Sample what was seen of both surfaces; measure `num_samples` of each to the nearest of `DENSITY` times as many.
+    """Sample what counts of both surfaces; measure `num_samples` of each to the nearest of `DENSITY` times as many.
 
-    The estimate is aligned first.
-
-    EvaluationError where a surface is empty or nothing of it was seen.
+    Both are in the world of the ground truth. EvaluationError where a surface is empty or nothing of it was seen.
     """
     from scipy.spatial import cKDTree
 
-    frames = list(views)
     rng = np.random.default_rng(seed)
-    moved = TriangleMesh(alignment.apply(estimate.vertices.astype(np.float64)), estimate.faces)
     dense = DENSITY * num_samples
-    found = _seen_samples(moved, frames, dense, margin_m, rng, "the reconstructed surface")
-    true = _seen_samples(truth, frames, dense, margin_m, rng, "the ground-truth surface")
+    found = seen_samples(estimate, seen, dense, rng, "the reconstructed surface")
+    true = seen_samples(truth, seen, dense, rng, "the ground-truth surface")
     to_truth, _ = cKDTree(true).query(found[:num_samples], workers=-1)
     to_estimate, _ = cKDTree(found).query(true[:num_samples], workers=-1)
     return ReconstructionError(to_truth, to_estimate)
 
 
+def moved(mesh: TriangleMesh, alignment: Alignment) -> TriangleMesh:
+    """Return a mesh in the frame that it is aligned to, its scale included."""
+    return TriangleMesh(alignment.apply(mesh.vertices.astype(np.float64)), mesh.faces)
+
+
 def sampled(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Points:
     """Draw points evenly over the area of a mesh [m]."""
     corners = mesh.vertices.astype(np.float64)[mesh.faces]
+    if not np.isfinite(corners).all():
+        raise EvaluationError("the mesh has vertices that are not finite")
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     if not len(areas) or not areas.sum() > 0:
@@ -107,35 +98,13 @@ def sampled(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Points:
     return points
 
 
-def seen(points_world: Points, views: Iterable[DepthView], margin_m: float) -> Bool[NDArray[np.bool_], " n"]:
-    """Say which points some view saw: inside its image, on a pixel with depth, at most `margin_m` behind it."""
-    visible = np.zeros(len(points_world), dtype=np.bool_)
-    for view in views:
-        left = np.flatnonzero(~visible)
-        if not len(left):
-            break
-        rotation, center = view.T_world_camera[:3, :3], view.T_world_camera[:3, 3]
-        x, y, z = ((points_world[left] - center) @ rotation).T
-        front = z > 1e-6
-        safe = np.where(front, z, 1.0)
-        camera = view.camera
-        u = np.rint(camera.fx * x / safe + camera.cx)
-        v = np.rint(camera.fy * y / safe + camera.cy)
-        inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        at = left[inside]
-        depth = view.depth[v[inside].astype(np.int64), u[inside].astype(np.int64)]
-        visible[at[(depth > 0) & (z[inside] <= depth + margin_m)]] = True
-    return visible
-
-
-def _seen_samples(
-    mesh: TriangleMesh, views: list[DepthView], count: int, margin_m: float, rng: np.random.Generator, name: str
-) -> Points:
+def seen_samples(mesh: TriangleMesh, seen: Seen, count: int, rng: np.random.Generator, name: str) -> Points:
+    """Draw up to `count` points of a surface that count; fewer where much of it was never seen."""
     kept: list[np.ndarray] = []
     total = 0
     for _ in range(_ROUNDS):
         points = sampled(mesh, count, rng)
-        kept.append(points[seen(points, views, margin_m)])
+        kept.append(points[seen(points)])
         total += len(kept[-1])
         if total >= count:
             break
