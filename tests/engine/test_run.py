@@ -274,7 +274,7 @@ def test_held_out_frames_are_tracked_kept_from_the_map_and_compared_apart(
     assert counts == {"train": 4, "held_out": 2}
     assert metrics["rendering/held_out/psnr_db"] != metrics["rendering/train/psnr_db"]
     rows = (tmp_path / "renders" / "metrics.csv").read_text().splitlines()
-    assert [row.rpartition(",")[2] for row in rows[1:]] == ["train", "train", "held_out", "train", "train", "held_out"]
+    assert [row.rpartition(",")[2] for row in rows[1:]] == ["0", "0", "1", "0", "0", "1"]
 
 
 def test_lpips_weights_that_are_not_there_are_refused_before_the_first_frame(

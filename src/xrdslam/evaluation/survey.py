@@ -96,10 +96,10 @@ class Survey:
         """Write a row for every compared frame."""
         rows = [(kind, row) for kind, metrics in self.metrics.items() for row in metrics.rows]
         with replaced(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [*(field.name for field in dataclasses.fields(FrameRow)), "views"])
+            writer = csv.DictWriter(file, [*(field.name for field in dataclasses.fields(FrameRow)), "is_held_out"])
             writer.writeheader()
             for kind, row in sorted(rows, key=lambda pair: pair[1].index):
-                writer.writerow(dataclasses.asdict(row) | {"views": kind})
+                writer.writerow(dataclasses.asdict(row) | {"is_held_out": int(kind == "held_out")})
 
     def _group(self, kind: str, metrics: RenderingMetrics) -> MetricGroup:
         if self.fault is not None:
