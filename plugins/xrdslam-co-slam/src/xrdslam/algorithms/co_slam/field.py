@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from xrdslam.ops.dense_layers import linear, outer_sum
 from xrdslam.ops.hash_grid import HashGridLayout, hash_grid_torch
 from xrdslam.ops.one_blob import one_blob_torch
 
@@ -82,9 +83,9 @@ class JointField(nn.Module):
     @torch.no_grad()
     def distance(self, points_unit: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Return the signed distance alone [truncations], without a gradient."""
-        first = self.geometry[:1]
+        first = self.geometry[0]
         parts = [
-            ((_encoded(part, self.table, self.layout) @ self.hidden.mT).relu_() @ first.mT)[:, 0]
+            torch.mv(linear(_encoded(part, self.table, self.layout), self.hidden, relu=True), first)
             for part in torch.split(points_unit, _CHUNK)
         ]
         return torch.cat(parts) if parts else points_unit.new_zeros(0)
@@ -122,54 +123,49 @@ class _JointField(torch.autograd.Function):
         table, hidden, geometry, color_hidden, color, layout = rest
         points, count, blob = points.contiguous(), len(points), layout.num_features
         encoded = torch.empty(count, blob + 3 * BINS)
-        first, geo, second = torch.empty(count, HIDDEN), torch.empty(count, 1 + GEO), torch.empty(count, HIDDEN)
-        rgb = torch.empty(count, 3)
         _encode_into(points, table, layout, encoded)
-        by_blob, by_geo = color_hidden[:, : 3 * BINS].mT, color_hidden[:, 3 * BINS :].mT
-        for start in range(0, count, _CHUNK):
-            part = slice(start, start + _CHUNK)
-            torch.mm(encoded[part], hidden.mT, out=first[part])
-            first[part].relu_()
-            torch.mm(first[part], geometry.mT, out=geo[part])
-            torch.mm(encoded[part, blob:], by_blob, out=second[part])
-            second[part].addmm_(geo[part, 1:], by_geo).relu_()
-            torch.mm(second[part], color.mT, out=rgb[part])
-        ctx.save_for_backward(points, table, hidden, geometry, color_hidden, color, encoded, first, geo, second)
+        firsts, inputs, seconds, distances, colors = [], [], [], [points.new_zeros(0)], [points.new_zeros(0, 3)]
+        for rows in torch.split(encoded, _CHUNK):
+            firsts.append(linear(rows, hidden, relu=True))
+            geo = linear(firsts[-1], geometry)
+            distances.append(geo[:, 0])
+            inputs.append(torch.cat((rows[:, blob:], geo[:, 1:]), 1))
+            seconds.append(linear(inputs[-1], color_hidden, relu=True))
+            colors.append(linear(seconds[-1], color))
+        ctx.save_for_backward(points, table, hidden, geometry, color_hidden, color, encoded)
+        ctx.chunks = firsts, inputs, seconds
         ctx.layout = layout
-        return geo[:, 0].clone(), rgb
+        return torch.cat(distances), torch.cat(colors)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_distance: Tensor, d_rgb: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
-        points, table, hidden, geometry, color_hidden, color, encoded, first, geo, second = ctx.saved_tensors
-        needs_points, needs_table, needs_weights = (
-            ctx.needs_input_grad[0],
-            ctx.needs_input_grad[1],
-            ctx.needs_input_grad[2],
-        )
+        points, table, hidden, geometry, color_hidden, color, encoded = ctx.saved_tensors
+        needs_points, needs_table, needs_weights = ctx.needs_input_grad[:3]
         count, blob, split = len(points), ctx.layout.num_features, 3 * BINS
-        relu_back = torch.ops.aten.threshold_backward
         d_weights = [torch.zeros_like(w) for w in (hidden, geometry, color_hidden, color)]
         d_encoded = torch.empty(count, blob + split if needs_points else blob)
-        d_geo = torch.empty(min(count, _CHUNK), 1 + GEO)
-        for start in range(0, count, _CHUNK):
-            part = slice(start, min(start + _CHUNK, count))
-            d_second = relu_back(torch.mm(d_rgb[part], color), second[part], 0)
-            back = d_geo[: part.stop - start]
-            back[:, 0] = d_distance[part]
-            torch.mm(d_second, color_hidden[:, split:], out=back[:, 1:])
-            d_first = relu_back(torch.mm(back, geometry), first[part], 0)
-            torch.mm(d_first, hidden if needs_points else hidden[:, :blob], out=d_encoded[part])
+        back_hidden = hidden.mT if needs_points else hidden[:, :blob].mT
+        for k, (first, given, second) in enumerate(zip(*ctx.chunks, strict=True)):
+            part = slice(k * _CHUNK, k * _CHUNK + len(first))
+            d_second = _masked_(torch.mm(d_rgb[part], color), second)
+            d_given = linear(d_second, color_hidden.mT)
+            d_geo = torch.cat((d_distance[part, None], d_given[:, split:]), 1)
+            d_first = _masked_(linear(d_geo, geometry.mT), first)
+            d_encoded[part] = linear(d_first, back_hidden)
             if needs_points:
-                d_encoded[part, blob:].addmm_(d_second, color_hidden[:, :split])
+                d_encoded[part, blob:] += d_given[:, :split]
             if needs_weights:
-                d_weights[0].addmm_(d_first.mT, encoded[part])
-                d_weights[1].addmm_(back.mT, first[part])
-                d_weights[2][:, :split].addmm_(d_second.mT, encoded[part, blob:])
-                d_weights[2][:, split:].addmm_(d_second.mT, geo[part, 1:])
-                d_weights[3].addmm_(d_rgb[part].mT, second[part])
+                pairs = ((d_first, encoded[part]), (d_geo, first), (d_second, given), (d_rgb[part], second))
+                for d_weight, (back, forth) in zip(d_weights, pairs, strict=True):
+                    d_weight.add_(outer_sum(back, forth))
         d_points, d_table = _pull_back_encoding(points, table, ctx.layout, d_encoded, needs_points, needs_table)
         return d_points, d_table, *(d_weights if needs_weights else [None] * 4), None
+
+
+def _masked_(gradient: Tensor, activation: Tensor) -> Tensor:
+    """Set to 0 what a ReLU did not let through."""
+    return torch.ops.aten.threshold_backward.grad_input(gradient, activation, 0, grad_input=gradient)  # type: ignore[no-any-return]
 
 
 def _pull_back_encoding(
