@@ -20,7 +20,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "methods": {"core", "ops"},
     "pictures": {"core", "ops"},
     "report": {"core", "evaluation", "pictures"},
-    "viewer": {"core", "pictures", "report"},
+    "viewer": {"core", "evaluation", "pictures", "report"},
     "engine": {"core", "ops", "datasets", "evaluation", "methods", "report"},
     "testing": {"core", "ops", "datasets", "evaluation", "methods", "engine", "pictures"},
     "builtin": {"core"},
@@ -138,6 +138,7 @@ CHEAP = [
     "xrdslam.datasets.config",
     "xrdslam.evaluation.config",
     "xrdslam.methods.config",
+    "xrdslam.viewer.config",
     *(f"xrdslam.algorithms.{plugin.name.removeprefix('xrdslam-').replace('-', '_')}.plugin" for plugin in PLUGINS),
     *(f"xrdslam.algorithms.{plugin.name.removeprefix('xrdslam-').replace('-', '_')}.config" for plugin in PLUGINS),
 ]

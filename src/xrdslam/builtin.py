@@ -1,9 +1,9 @@
 """What the core distribution itself registers, through the same hooks as any plugin."""
 
 from xrdslam.core.hookspecs import hookimpl
-from xrdslam.core.records import DatasetInfo, MappingMethodInfo, TrackingMethodInfo
+from xrdslam.core.records import DatasetInfo, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
 
-__all__ = ["xrdslam_datasets", "xrdslam_mapping_methods", "xrdslam_tracking_methods"]
+__all__ = ["xrdslam_datasets", "xrdslam_mapping_methods", "xrdslam_tracking_methods", "xrdslam_viewers"]
 
 
 @hookimpl
@@ -89,5 +89,24 @@ def xrdslam_mapping_methods() -> list[MappingMethodInfo]:
             "xrdslam.methods.no_mapping:NoMapping",
             "xrdslam.methods.config:NoMappingConfig",
             "no map: pure odometry",
+        ),
+    ]
+
+
+@hookimpl
+def xrdslam_viewers() -> list[ViewerInfo]:
+    """Register the ways of watching a run."""
+    return [
+        ViewerInfo(
+            "none",
+            "xrdslam.viewer.nothing:NoViewer",
+            "xrdslam.core.config:ViewerConfig",
+            "nobody watches",
+        ),
+        ViewerInfo(
+            "viser",
+            "xrdslam.viewer.live:LiveViewer",
+            "xrdslam.viewer.config:LiveViewerConfig",
+            "a page on this machine that shows the run while it goes on (extra `viewer`)",
         ),
     ]

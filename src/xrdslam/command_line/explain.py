@@ -8,12 +8,14 @@ from hydra.errors import MissingConfigException
 
 from xrdslam.command_line.groups import options
 from xrdslam.core.errors import XrdslamError
-from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo
+from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
 from xrdslam.core.registry import Registry, installed
 
 __all__ = ["in_one_line"]
 
-KINDS: dict[str, type[Info]] = {kind.group: kind for kind in (AlgorithmInfo, TrackingMethodInfo, MappingMethodInfo)}
+KINDS: dict[str, type[Info]] = {
+    kind.group: kind for kind in (AlgorithmInfo, TrackingMethodInfo, MappingMethodInfo, ViewerInfo)
+}
 NOT_FOR_PEOPLE = re.compile(r"^\s*(full_key|object_type|reference_type|Config search path|provider=)")
 UNCHOSEN = re.compile(r"You must specify '([\w/]+)'")
 

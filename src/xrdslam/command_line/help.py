@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from xrdslam.command_line.groups import options
-from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo
+from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
 from xrdslam.core.registry import Registry
 
 __all__ = ["help_page", "inventory"]
@@ -40,6 +40,7 @@ def inventory(registry: Registry) -> str:
         _section("Tracking methods (algo/tracking=)", _lines(registry.all(TrackingMethodInfo))),
         _section("Mapping methods (algo/mapping=)", _lines(registry.all(MappingMethodInfo))),
         _section("Datasets (dataset=)", _dataset_lines(registry)),
+        _section("Viewers (viewer=)", _lines(registry.all(ViewerInfo))),
     ]
     if registry.broken:
         sections.append(_section("Broken plugins", (f"  {plugin}" for plugin in registry.broken.values())))

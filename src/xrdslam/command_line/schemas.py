@@ -8,7 +8,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from xrdslam.command_line.groups import OVERLAYS, options
 from xrdslam.core.config import EngineConfig, RunConfig
 from xrdslam.core.errors import PluginError
-from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo
+from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
 from xrdslam.core.registry import BrokenPlugin, Registry
 from xrdslam.evaluation.config import EvaluationConfig
 
@@ -26,6 +26,8 @@ def store_schemas(registry: Registry) -> None:
         _store_choice(registry, algorithm, "algo", {"tracking": algorithm.tracking, "mapping": algorithm.mapping})
     for method in (*registry.all(TrackingMethodInfo).values(), *registry.all(MappingMethodInfo).values()):
         _store_choice(registry, method, method.group)
+    for viewer in registry.all(ViewerInfo).values():
+        _store_choice(registry, viewer, viewer.group)
     for family in registry.all(DatasetInfo).values():
         _store_choice(registry, family, "schema/dataset")
     _store_names("settings", {"none", *registry.all(DatasetInfo), *_overlay_names("settings")})

@@ -13,6 +13,7 @@ __all__ = [
     "MappingConfig",
     "RunConfig",
     "TrackingConfig",
+    "ViewerConfig",
     "require",
     "require_choice",
 ]
@@ -157,6 +158,13 @@ class EngineConfig:
 
 
 @dataclass
+class ViewerConfig:
+    """How a run is watched, chosen by `viewer=`."""
+
+    name: str = "none"
+
+
+@dataclass
 class RunConfig:
     """A whole run, as the command line composes it and as it is written beside its results."""
 
@@ -164,6 +172,7 @@ class RunConfig:
     dataset: Any = "???"
     engine: Any = field(default_factory=EngineConfig)
     evaluation: Any = "???"
+    viewer: Any = field(default_factory=ViewerConfig)
     seed: int = 0
     device: str = "cpu"
     """Where tensors live, as torch names it; `auto` takes an accelerator where there is one."""

@@ -4,6 +4,7 @@ import difflib
 import functools
 import logging
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
@@ -84,6 +85,17 @@ class Registry:
         self._distributions[plugin] = distribution
         for record in records:
             self._add(replace(record, distribution=distribution))
+
+    @contextmanager
+    def listening(self, plugin: object, whose: str) -> Iterator[None]:
+        """Let an object's run-time hooks be called for a while: the viewer of one run."""
+        self.register(plugin, whose)
+        try:
+            yield
+        finally:
+            self._manager.unregister(plugin)
+            del self._distributions[plugin]
+            self._silenced = {(hook, silenced) for hook, silenced in self._silenced if silenced is not plugin}
 
     def refuse(self, plugin: BrokenPlugin) -> None:
         """Record a plugin that cannot be used, with one warning."""

@@ -6,7 +6,7 @@ import random
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -17,7 +17,7 @@ import torch
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import XrdslamError
 from xrdslam.core.registry import Registry, installed
-from xrdslam.engine.build import build_algorithm, build_dataset, resolve_device
+from xrdslam.engine.build import build_algorithm, build_dataset, build_viewer, resolve_device
 from xrdslam.engine.context import Run
 from xrdslam.engine.directory import RunDirectory
 from xrdslam.engine.results import evaluate, save_map, save_report, save_trajectories
@@ -59,7 +59,11 @@ def run(config: RunConfig, run_dir: Path, registry: Registry | None = None) -> R
     EvalMetrics(config.evaluation).check()
     this.directory.write_config(config)
     this.directory.write_environment(config, device)
-    with _log_to(run_dir / "log.txt"):
+    with (
+        _log_to(run_dir / "log.txt"),
+        closing(build_viewer(config, registry)) as viewer,
+        registry.listening(viewer, f"viewer={config.viewer.name}"),
+    ):
         return _carry_out(this)
 
 

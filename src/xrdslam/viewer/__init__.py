@@ -1,0 +1,1 @@
+"""Watching a run in a browser, and a finished one again; videos without a window."""
