@@ -98,12 +98,6 @@ def xrdslam_viewers() -> list[ViewerInfo]:
     """Register the ways of watching a run."""
     return [
         ViewerInfo(
-            "none",
-            "xrdslam.viewer.nothing:NoViewer",
-            "xrdslam.core.config:ViewerConfig",
-            "nobody watches",
-        ),
-        ViewerInfo(
             "viser",
             "xrdslam.viewer.live:LiveViewer",
             "xrdslam.viewer.config:LiveViewerConfig",

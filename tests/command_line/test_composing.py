@@ -99,6 +99,11 @@ def test_a_preset_that_none_of_the_chosen_methods_has_is_refused() -> None:
     check_preset({**choices, "preset": "published"})
 
 
+def test_a_viewer_brings_its_settings() -> None:
+    assert typed().viewer.name == "none"
+    assert typed("viewer=viser", "viewer.port=9000").viewer.port == 9000
+
+
 @pytest.mark.parametrize(
     ("override", "names"),
     [
@@ -125,7 +130,16 @@ def test_a_wrong_type_or_an_unknown_key_does_not_compose(override: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "override", ["algo=foo", "dataset=replica/attic", "algo/tracking=foo", "preset=foo", "settings=foo", "engine=foo"]
+    "override",
+    [
+        "viewer=foo",
+        "algo=foo",
+        "dataset=replica/attic",
+        "algo/tracking=foo",
+        "preset=foo",
+        "settings=foo",
+        "engine=foo",
+    ],
 )
 def test_an_unknown_option_does_not_compose(override: str) -> None:
     with pytest.raises(MissingConfigException, match=override.replace("=", "/")):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from xrdslam.core.errors import PluginError, UnknownNameError
-from xrdslam.core.hookspecs import REGISTRATION_HOOKS
+from xrdslam.core.hookspecs import REGISTRATION_HOOKS, hookimpl
 from xrdslam.core.records import AlgorithmInfo, TrackingMethodInfo
 from xrdslam.core.registry import Registry
 
@@ -198,3 +198,24 @@ def test_run_time_hooks_hear_what_they_ask_for_and_a_failing_one_is_silenced(
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "bad 1.0" in caplog.text
     assert "one division too many" in caplog.text
+
+
+def test_a_listener_hears_for_as_long_as_it_is_let(caplog: pytest.LogCaptureFixture) -> None:
+    class Viewer:
+        heard = 0
+
+        @hookimpl
+        def xrdslam_run_started(self) -> None:
+            self.heard += 1
+            if self.heard == 2:
+                raise ValueError("not now")
+
+    registry, viewer = Registry(), Viewer()
+    for _ in range(2):
+        with registry.listening(viewer, "viewer=test"):
+            registry.notify("xrdslam_run_started", run=None)
+            registry.notify("xrdslam_run_started", run=None)
+            registry.notify("xrdslam_run_started", run=None)
+    registry.notify("xrdslam_run_started", run=None)
+    assert viewer.heard == 2 + 3, "silenced after its fault, and no longer than it listened"
+    assert "viewer=test raised" in caplog.text

@@ -6,7 +6,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from xrdslam.command_line.groups import OVERLAYS, options
-from xrdslam.core.config import EngineConfig, RunConfig
+from xrdslam.core.config import EngineConfig, RunConfig, ViewerConfig
 from xrdslam.core.errors import PluginError
 from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
 from xrdslam.core.registry import BrokenPlugin, Registry
@@ -22,6 +22,7 @@ def store_schemas(registry: Registry) -> None:
     _store("schema", "run", RunConfig)
     _store("engine", "sequential", EngineConfig)
     _store("evaluation", "default", EvaluationConfig)
+    _store("viewer", "none", ViewerConfig)
     for algorithm in registry.all(AlgorithmInfo).values():
         _store_choice(registry, algorithm, "algo", {"tracking": algorithm.tracking, "mapping": algorithm.mapping})
     for method in (*registry.all(TrackingMethodInfo).values(), *registry.all(MappingMethodInfo).values()):

@@ -1,7 +1,6 @@
 """From settings to objects: what the registry says stands behind each name."""
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from xrdslam.core.dataset import Dataset
 from xrdslam.core.errors import ConfigError
 from xrdslam.core.registry import Registry, installed
 
-__all__ = ["build_algorithm", "build_dataset", "build_viewer", "current_accelerator", "resolve_device", "settings_of"]
+__all__ = ["build_algorithm", "build_dataset", "current_accelerator", "resolve_device", "settings_of"]
 
 
 def build_dataset(config: RunConfig, registry: Registry | None = None) -> Dataset:
@@ -39,11 +38,6 @@ def build_algorithm(
     assert isinstance(algorithm, Algorithm), f"{type(algorithm).__name__} is no Algorithm"
     algorithm.hold_out = hold_out
     return algorithm
-
-
-def build_viewer(config: RunConfig, registry: Registry) -> Any:  # noqa: ANN401  # an object with run-time hooks and `close`
-    """Open what watches the run; an extra that is missing is named before the first frame."""
-    return registry.viewer(config.viewer.name).load()(config.viewer)
 
 
 def resolve_device(name: str) -> str:

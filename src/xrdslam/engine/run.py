@@ -17,7 +17,7 @@ import torch
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import XrdslamError
 from xrdslam.core.registry import Registry, installed
-from xrdslam.engine.build import build_algorithm, build_dataset, build_viewer, resolve_device
+from xrdslam.engine.build import build_algorithm, build_dataset, resolve_device
 from xrdslam.engine.context import Run
 from xrdslam.engine.directory import RunDirectory
 from xrdslam.engine.results import evaluate, save_map, save_report, save_trajectories
@@ -59,11 +59,7 @@ def run(config: RunConfig, run_dir: Path, registry: Registry | None = None) -> R
     EvalMetrics(config.evaluation).check()
     this.directory.write_config(config)
     this.directory.write_environment(config, device)
-    with (
-        _log_to(run_dir / "log.txt"),
-        closing(build_viewer(config, registry)) as viewer,
-        registry.listening(viewer, f"viewer={config.viewer.name}"),
-    ):
+    with _log_to(run_dir / "log.txt"), _watched(config, registry):
         return _carry_out(this)
 
 
@@ -107,6 +103,17 @@ def prepare(config: RunConfig) -> None:
     random.seed(config.seed)
     np.random.seed(config.seed)  # noqa: NPY002  # libraries that a plugin uses may draw from numpy's global stream
     torch.manual_seed(config.seed)
+
+
+@contextmanager
+def _watched(config: RunConfig, registry: Registry) -> Iterator[None]:
+    """Let the chosen viewer hear of the run; an extra that is missing is named before the first frame."""
+    if config.viewer.name == "none":
+        yield
+        return
+    viewer = registry.viewer(config.viewer.name).load()(config.viewer)
+    with closing(viewer), registry.listening(viewer, f"viewer={config.viewer.name}"):
+        yield
 
 
 @contextmanager

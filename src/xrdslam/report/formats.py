@@ -72,7 +72,7 @@ def as_html(table: Table) -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
         f'content="width=device-width,initial-scale=1"><title>xrdslam · {len(table.rows)} rows</title>'
-        f'<style>{style}</style></head><body><header><p class="brand">xrdslam · comparison</p>'
+        f'<style>{style}</style></head><body class="wider"><header><p class="brand">xrdslam · comparison</p>'
         f"<h1>{_heading(table)}</h1></header>"
         f'<main><section class="wide"><table class="grid"><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(body)}</tbody></table></section>"

@@ -11,13 +11,19 @@ __all__ = ["ProtocolError", "by_protocol", "check_protocols", "conditions"]
 
 OUTCOMES = frozenset(
     {
+        "alignment_scale",
         "ate_sim3_scale",
+        "culling_frames",
+        "held_out_frames",
+        "icp_result",
         "is_alignment_rotation_unique",
         "left_out_because",
         "matched_frames",
+        "matched_percent_of_ground_truth",
         "preset",
         "rpe_pairs",
         "rpe_scale",
+        "sequence_frames",
         "unavailable",
     }
 )

@@ -19,7 +19,7 @@ from xrdslam.core.geometry import so3
 
 __all__ = ["RunFiles", "is_run", "read_run", "runs_in"]
 
-Column = Float64[NDArray[np.float64], " n"]
+Column = Float64[NDArray[np.float64], " _"]
 Poses = Float64[NDArray[np.float64], "n 4 4"]
 Settings = dict[str, Any]
 

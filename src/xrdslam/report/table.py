@@ -1,11 +1,11 @@
 """Many runs in one table: a row for each dataset and method, mean and spread over seeds."""
 
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from xrdslam.core.errors import RunError
-from xrdslam.report.protocols import by_protocol, check_protocols
+from xrdslam.report.protocols import by_protocol, check_protocols, conditions
 from xrdslam.report.published import PublishedFigure, published_figure
 from xrdslam.report.run_files import RunFiles
 from xrdslam.report.variants import Group, grouped
@@ -38,10 +38,13 @@ COLUMNS = (
     Column("rendering/train/psnr_db", "PSNR", "dB", 2, "high"),
     Column("rendering/train/ssim", "SSIM", "", 3, "high"),
     Column("rendering/train/ms_ssim", "MS-SSIM", "", 3, "high"),
+    Column("rendering/train/lpips_alex", "LPIPS (alex)", "", 3, "low"),
     Column("rendering/train/depth_l1_cm", "depth L1", "cm", 2, "low"),
     Column("rendering/held_out/psnr_db", "PSNR, held out", "dB", 2, "high"),
+    Column("rendering/held_out/depth_l1_cm", "depth L1, held out", "cm", 2, "low"),
     Column("reconstruction/accuracy_cm", "accuracy", "cm", 2, "low"),
     Column("reconstruction/completion_cm", "completion", "cm", 2, "low"),
+    Column("reconstruction/mesh_depth_l1_cm", "mesh depth L1", "cm", 2, "low"),
     Column("reconstruction/f_score_1cm_percent", "F-score 1 cm", "%", 1, "high"),
     Column("reconstruction/f_score_5cm_percent", "F-score 5 cm", "%", 1, "high"),
     Column("profile/frames_per_second", "speed", "frames/s", 2, "high"),
@@ -113,7 +116,9 @@ def tabulated(
     groups = grouped(finished)
     rows = [_row(group, members, published or {}) for group in groups]
     columns = tuple(column for column, _ in members)
-    return Table(columns, tuple(_with_best(rows, columns)), tuple(_notes(finished)), tuple(missing))
+    return Table(
+        columns, tuple(_with_best(rows, columns)), (*_notes(finished), *_protocols(finished, columns)), tuple(missing)
+    )
 
 
 def _wanted(runs: Sequence[RunFiles], keys: Sequence[str] | None) -> list[Column]:
@@ -172,3 +177,15 @@ def _notes(runs: Sequence[RunFiles]) -> list[str]:
         f"Hardware: {counted}.",
         "Mean ± standard deviation of the sample (n - 1) over seeds; bold: best of a dataset.",
     ]
+
+
+def _protocols(runs: Sequence[RunFiles], columns: Sequence[Column]) -> Iterator[str]:
+    """Yield how the figures of each group were measured: what all of them share."""
+    for group in dict.fromkeys(column.key.rpartition("/")[0] for column in columns):
+        shared: dict[str, str] = {}
+        for key in (column.key for column in columns if column.key.rpartition("/")[0] == group):
+            ways = [conditions(run, key) for run in runs if run.figure(key) is not None]
+            shared |= {entry: way for entry, way in (ways or [{}])[0].items() if all(w.get(entry) == way for w in ways)}
+        if shared:
+            said = "; ".join(f"{entry.replace('_', ' ')}: {way}" for entry, way in shared.items())
+            yield f"Measured, {group}: {said}."

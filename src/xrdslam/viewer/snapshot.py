@@ -1,6 +1,6 @@
 """What a watcher sees of a run at one moment, as arrays of their own: the run may go on."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ POINTS_OF_A_KEYFRAME = 4000
 FAREST_M = 20.0
 
 
+@runtime_checkable
 class Watched(Protocol):
     """What a viewer reads of a run."""
 

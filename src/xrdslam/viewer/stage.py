@@ -12,7 +12,9 @@ from xrdslam.pictures.splat_files import Splats
 
 __all__ = ["Stage"]
 
-TRUTH, ESTIMATE, KEYFRAME = (150, 156, 166), (13, 124, 120), (217, 130, 43)
+TRUTH, ESTIMATE = (150, 156, 166), (13, 124, 120)
+FOV_RAD = 0.62
+"""Of a browser's eye, vertically: about what pictures from outside are drawn with."""
 
 
 class Stage:
@@ -55,6 +57,7 @@ class Stage:
         self.server.scene.set_up_direction((float(up[0]), float(up[1]), float(up[2])))
         camera = self.server.initial_camera
         camera.position, camera.look_at, camera.up = view.T_world_camera[:3, 3], target, up
+        camera.fov = FOV_RAD
 
     def picture(self, name: str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
         """Show a picture under its name."""

@@ -14,7 +14,7 @@ from xrdslam.viewer.recorded import Recorded
 
 __all__ = ["Film", "write_video"]
 
-Picture = UInt8[np.ndarray, "h w 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]
 
 SIZE = (1280, 720)
 COLUMN = 400
