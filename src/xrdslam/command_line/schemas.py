@@ -6,7 +6,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from xrdslam.command_line.groups import OVERLAYS, options
-from xrdslam.core.config import EngineConfig, RunConfig, ViewerConfig
+from xrdslam.core.config import EngineConfig, MultiprocessConfig, RunConfig, ViewerConfig
 from xrdslam.core.errors import PluginError
 from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
 from xrdslam.core.registry import BrokenPlugin, Registry
@@ -21,6 +21,7 @@ def store_schemas(registry: Registry) -> None:
     """Store the run's schema, one option per registered name, and one per dataset family's settings and per preset."""
     _store("schema", "run", RunConfig)
     _store("engine", "sequential", EngineConfig)
+    _store("engine", "multiprocess", MultiprocessConfig)
     _store("evaluation", "default", EvaluationConfig)
     _store("viewer", "none", ViewerConfig)
     for algorithm in registry.all(AlgorithmInfo).values():

@@ -11,6 +11,7 @@ __all__ = [
     "IterativeMappingConfig",
     "IterativeTrackingConfig",
     "MappingConfig",
+    "MultiprocessConfig",
     "RunConfig",
     "TrackingConfig",
     "ViewerConfig",
@@ -155,6 +156,21 @@ class EngineConfig:
     name: str = "sequential"
     progress: bool = True
     """Show frames/s and what remains: a bar on a terminal, a line now and then elsewhere."""
+
+
+@dataclass
+class MultiprocessConfig(EngineConfig):
+    """Tracker, Mapper and Visualizer as processes."""
+
+    name: str = "multiprocess"
+    sync: str = "strict"
+    """`strict`: turn by turn, the sequential engine's very result; `async`: tracking goes ahead of mapping."""
+    max_lag: int = 5
+    """With `async`: how many tracked frames may wait for the mapper."""
+
+    def __post_init__(self) -> None:
+        require_choice("engine.sync", self.sync, ("strict", "async"))
+        require(self.max_lag >= 0, "engine.max_lag", self.max_lag, "not be negative")
 
 
 @dataclass

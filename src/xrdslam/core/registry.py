@@ -2,6 +2,7 @@
 
 import difflib
 import functools
+import itertools
 import logging
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -71,6 +72,15 @@ class Registry:
             except (Exception, SystemExit) as error:
                 registry.refuse(BrokenPlugin(point.name, distribution, error))
         return registry
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Go to another process as names and import strings; run-time hooks stay where they were registered."""
+        records = [claim for claims in self._records.values() for claim in itertools.chain(*claims.values())]
+        return _of_records, (records,)
+
+    def hears(self, hook: str) -> bool:
+        """Say whether any plugin implements a run-time hook."""
+        return bool(getattr(self._manager.hook, hook).get_hookimpls())
 
     def register(self, plugin: object, distribution: str) -> None:
         """Take in a module or object with hooks; raises before anything of it is taken in."""
@@ -168,6 +178,13 @@ class Registry:
         near = difflib.get_close_matches(name, known, n=1)
         advice = f"did you mean {near[0]!r}?" if near else f"try `pip install {PROJECT}-{name.replace('_', '-')}`;"
         return f"no {kind.kind} {name!r}; {advice} installed: {', '.join(known) or 'none'}"
+
+
+def _of_records(records: list[Info]) -> Registry:
+    registry = Registry()
+    for record in records:
+        registry._records[type(record)].setdefault(record.name, []).append(record)
+    return registry
 
 
 @functools.cache

@@ -1,6 +1,6 @@
 """What is believed about where the camera was."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -127,27 +127,35 @@ class Trajectory:
         entry.T_anchor_frame = T_world_camera if anchor == index else _relative(self.pose(anchor), T_world_camera)
         entry.anchor = anchor
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """Return everything as tensors, for checkpoints."""
-        entries = self._entries.values()
+    def state_dict(self, indices: Collection[int] | None = None) -> dict[str, Tensor]:
+        """Return everything as tensors, for checkpoints, or what is known of some frames, for another process."""
+        chosen = self.indices if indices is None else list(indices)
+        entries = [self._entries[index] for index in chosen]
         return {
-            "indices": torch.tensor(self.indices, dtype=torch.int64),
-            "timestamps_ns": self.timestamps_ns,
-            "online": self.online(),
+            "indices": torch.tensor(chosen, dtype=torch.int64),
+            "timestamps_ns": torch.tensor([e.timestamp_ns for e in entries], dtype=torch.int64),
+            "online": _stack([e.online for e in entries]),
             "anchors": torch.tensor([e.anchor for e in entries], dtype=torch.int64),
             "T_anchor_frame": _stack([e.T_anchor_frame for e in entries]),
-            "is_lost": self.is_lost,
+            "is_lost": torch.tensor([e.is_lost for e in entries], dtype=torch.bool),
             "anchor": torch.tensor(-1 if self._anchor is None else self._anchor),
         }
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Take over what `state_dict` returned."""
+        self._entries = {}
+        self.merge(state)
+
+    def merge(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state_dict` returned for some frames; what is known of others stays.
+
+        Without `anchor` in it, what later frames hang on stays too.
+        """
         keys = ("indices", "timestamps_ns", "online", "anchors", "T_anchor_frame", "is_lost")
-        self._entries = {
-            int(index): _Entry(int(stamp), online, int(anchor), relative, bool(lost))
-            for index, stamp, online, anchor, relative, lost in zip(*(state[k] for k in keys), strict=True)
-        }
-        self._anchor = None if int(state["anchor"]) < 0 else int(state["anchor"])
+        for index, stamp, online, anchor, relative, lost in zip(*(state[k] for k in keys), strict=True):
+            self._entries[int(index)] = _Entry(int(stamp), online, int(anchor), relative, bool(lost))
+        if "anchor" in state:
+            self._anchor = None if int(state["anchor"]) < 0 else int(state["anchor"])
 
 
 def _exact(T_world_camera: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from xrdslam.core.dataset import Dataset
 from xrdslam.core.errors import ConfigError
 from xrdslam.core.registry import Registry, installed
 
-__all__ = ["build_algorithm", "build_dataset", "current_accelerator", "resolve_device", "settings_of"]
+__all__ = ["algorithm_of", "build_algorithm", "build_dataset", "current_accelerator", "resolve_device", "settings_of"]
 
 
 def build_dataset(config: RunConfig, registry: Registry | None = None) -> Dataset:
@@ -38,6 +38,11 @@ def build_algorithm(
     assert isinstance(algorithm, Algorithm), f"{type(algorithm).__name__} is no Algorithm"
     algorithm.hold_out = hold_out
     return algorithm
+
+
+def algorithm_of(config: RunConfig, device: str, registry: Registry) -> Algorithm:
+    """Compose the algorithm of a run; every process of it that asks builds an equal one."""
+    return build_algorithm(config.algo, config.seed, device, registry, config.evaluation.held_out)
 
 
 def resolve_device(name: str) -> str:

@@ -41,6 +41,10 @@ class Run:
 
     def note(self, frame: Frame) -> None:
         """Keep a frame's ground truth for the evaluation; an unknown pose is NaN."""
+        self.note_truth(frame.index, frame.T_world_camera_gt)
+
+    def note_truth(self, index: int, T_world_camera_gt: Tensor | None) -> None:
+        """Keep the ground truth of a frame that is elsewhere."""
         unknown = torch.full((4, 4), torch.nan, dtype=torch.float64)
-        given = frame.T_world_camera_gt
-        self.ground_truth[frame.index] = unknown if given is None else given.detach().to("cpu", torch.float64)
+        given = T_world_camera_gt
+        self.ground_truth[index] = unknown if given is None else given.detach().to("cpu", torch.float64)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -37,8 +38,11 @@ def save_trajectories(run: Run) -> None:
     write_text(run.directory.path / "timing.csv", run.profile.csv())
 
 
-def save_map(run: Run) -> None:
-    """Write the map's state, and whatever views of it the method offers; one that fails is said and skipped."""
+def save_map(run: Run, with_mesh: bool = True) -> None:
+    """Write the map's state, and whatever views of it the method offers; one that fails is said and skipped.
+
+    OSError, after the others were tried, where the system refuses a file: the disk is full, or gone.
+    """
     model = run.algorithm.model
     _save_state(run.directory.map / "map.safetensors", model)
     if model.size == 0:
@@ -51,20 +55,30 @@ def save_map(run: Run) -> None:
         "point_cloud": lambda: model.point_cloud().write(run.directory.map / "cloud.ply"),
         "mesh": lambda: model.mesh(views).write(run.directory.map / "mesh.ply"),
     }
+    refused: OSError | None = None
     for capability, write in writers.items():
         if not model.supports(capability):
+            continue
+        if capability == "mesh" and not with_mesh:
+            log.warning("the map is saved without a mesh, which takes long to extract")
             continue
         try:
             write()
         except (XrdslamError, OSError, MemoryError) as error:
             log.error("%s of the map was not written: %s", capability, error)
+            refused = error if isinstance(error, OSError) else refused
+    if refused is not None:
+        raise refused
 
 
 def _save_state(path: Path, model: torch.nn.Module) -> None:
     tensors: dict[str, torch.Tensor] = model.state_dict()
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with replaced(path) as temporary:
-        save_file(state, temporary)
+        try:
+            save_file(state, temporary)
+        except SafetensorError as error:  # what the system refuses arrives under this name
+            raise OSError(f"{path} cannot be written: {error}") from error
 
 
 def evaluate(

@@ -1,32 +1,32 @@
 """One run: check, build, go, save, evaluate, summarise."""
 
 import logging
-import os
-import random
 import signal
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
-import torch
-
 from xrdslam.core.config import RunConfig
-from xrdslam.core.errors import XrdslamError
+from xrdslam.core.errors import RunError, XrdslamError
 from xrdslam.core.registry import Registry, installed
-from xrdslam.engine.build import build_algorithm, build_dataset, resolve_device
+from xrdslam.engine.build import algorithm_of, build_dataset, resolve_device
+from xrdslam.engine.conclusion import conclude
 from xrdslam.engine.context import Run
 from xrdslam.engine.directory import RunDirectory
-from xrdslam.engine.results import evaluate, save_map, save_report, save_trajectories
+from xrdslam.engine.multiprocess.parent import run_multiprocess
+from xrdslam.engine.seeding import num_threads, prepare
 from xrdslam.engine.sequential import run_sequential
 from xrdslam.evaluation import EvalMetrics, Metrics
 
 __all__ = ["RunSummary", "run"]
 
 log = logging.getLogger(__name__)
+
+ENGINES = {"sequential": run_sequential, "multiprocess": run_multiprocess}
 
 
 @dataclass(frozen=True)
@@ -50,59 +50,57 @@ def run(config: RunConfig, run_dir: Path, registry: Registry | None = None) -> R
     error of a method), what was computed is saved first; an error is raised again after that.
     """
     device = resolve_device(config.device)
-    prepare(config)
+    prepare(config.seed, num_threads(config.threads))
     registry = registry or installed()
     dataset = build_dataset(config, registry)
-    algorithm = build_algorithm(config.algo, config.seed, device, registry, config.evaluation.held_out)
+    algorithm = algorithm_of(config, device, registry)
     this = Run(config, RunDirectory(run_dir), dataset, algorithm, registry, device)
     algorithm.check(this.scene)
     EvalMetrics(config.evaluation).check()
-    this.directory.write_config(config)
-    this.directory.write_environment(config, device)
-    with _log_to(run_dir / "log.txt"), _watched(config, registry):
+    try:
+        this.directory.write_config(config)
+        this.directory.write_environment(config, device)
+        log_file = _log_file(run_dir / "log.txt")
+    except OSError as error:
+        raise RunError(
+            f"run_dir={run_dir}: cannot be written ({error}); free space, or choose another folder"
+        ) from error
+    with _logging_to(log_file), _terminable(), _watched(config, registry):
         return _carry_out(this)
 
 
 def _carry_out(this: Run) -> RunSummary:
     this.registry.notify("xrdslam_run_started", run=this)
-    was_interrupted = False
+    was_interrupted, failure = False, None
     try:
-        with _terminable():
-            run_sequential(this)
+        ENGINES[this.config.engine.name](this)
     except KeyboardInterrupt:
         was_interrupted = True
         log.warning("interrupted after %d frames; saving what there is", len(this.algorithm.trajectory))
     except Exception as error:
-        done = len(this.algorithm.trajectory)
+        failure, done = error, len(this.algorithm.trajectory)
         trace = not isinstance(error, XrdslamError)  # what a user can mend needs no traceback
         log.error("the run failed after %d frames (%s); saving what there is", done, error, exc_info=trace)
-        _save(this)
-        raise
-    _save(this)
-    metrics = evaluate(this, with_rendering=not was_interrupted) if len(this.algorithm.trajectory) else {}
-    if this.config.report:
-        save_report(this)
-    this.registry.notify("xrdslam_run_finished", run=this, metrics=metrics)
-    return RunSummary(metrics, this.directory.path, was_interrupted)
+    end = conclude(this, is_hurried=was_interrupted or failure is not None)
+    if failure is not None:
+        raise failure
+    end.raise_fault(this)
+    this.registry.notify("xrdslam_run_finished", run=this, metrics=end.metrics)
+    return RunSummary(end.metrics, this.directory.path, was_interrupted or end.was_interrupted)
 
 
-def _save(this: Run) -> None:
-    """Save trajectories first: they are small, and nothing after them can lose them."""
-    save_trajectories(this)
-    if len(this.algorithm.trajectory):
-        save_map(this)
+class _LogFile(logging.FileHandler):
+    """A run's log.txt; on a full disk it is the run that goes on, not the log."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # logging's name
+        sys.stderr.write(f"{self.baseFilename} cannot be written: it lacks what follows\n")
+        logging.getLogger().removeHandler(self)
 
 
-def prepare(config: RunConfig) -> None:
-    """Set threads and every source of random numbers."""
-    import numba
-
-    threads = config.threads or len(os.sched_getaffinity(0))
-    numba.set_num_threads(min(threads, int(numba.config.NUMBA_NUM_THREADS)))  # type: ignore[attr-defined]  # set late
-    torch.set_num_threads(threads)  # after numba, whose start sets the OpenMP pool that both share to all cores
-    random.seed(config.seed)
-    np.random.seed(config.seed)  # noqa: NPY002  # libraries that a plugin uses may draw from numpy's global stream
-    torch.manual_seed(config.seed)
+def _log_file(path: Path) -> logging.Handler:
+    handler = _LogFile(path)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    return handler
 
 
 @contextmanager
@@ -117,17 +115,16 @@ def _watched(config: RunConfig, registry: Registry) -> Iterator[None]:
 
 
 @contextmanager
-def _log_to(path: Path) -> Iterator[None]:
+def _logging_to(handler: logging.Handler) -> Iterator[None]:
     """Write everything that is logged into a run's log.txt as well."""
-    handler = logging.FileHandler(path)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     root = logging.getLogger()
     root.addHandler(handler)
     try:
         yield
     finally:
         root.removeHandler(handler)
-        handler.close()
+        with suppress(OSError):  # a full disk has been reported
+            handler.close()
 
 
 @contextmanager

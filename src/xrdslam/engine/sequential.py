@@ -1,6 +1,5 @@
 """The sequential engine: one process, frame after frame; the same seed gives the same bits."""
 
-import logging
 import time
 from contextlib import closing
 
@@ -12,8 +11,6 @@ from xrdslam.engine.progress import ProgressReport
 from xrdslam.engine.stages import Mapper, Tracker
 
 __all__ = ["run_sequential"]
-
-log = logging.getLogger(__name__)
 
 
 def run_sequential(run: Run) -> None:
@@ -35,10 +32,6 @@ def run_sequential(run: Run) -> None:
 def _step(run: Run, tracker: Tracker, mapper: Mapper, frame: Frame, cost: FrameCost) -> None:
     run.note(frame)
     tracked = tracker.step(frame, cost)
-    if tracked.is_lost:
-        log.warning(
-            "frame %d is lost (%s); its predicted pose is kept", frame.index, tracked.reason or "no reason given"
-        )
     run.registry.notify("xrdslam_frame_tracked", run=run, frame=frame, result=tracked)
     mapped = mapper.step(frame, cost)
     if mapped is not None:

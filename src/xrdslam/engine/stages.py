@@ -1,12 +1,18 @@
 """The two stages of a run, timed and announced: Tracker and Mapper."""
 
+import logging
+import math
+
 from xrdslam.core.algorithm import Algorithm, Scene
+from xrdslam.core.errors import RunError
 from xrdslam.core.frame import Frame
 from xrdslam.core.mapping import MappingResult
 from xrdslam.core.tracking import TrackingResult
 from xrdslam.engine.profile import FrameCost, Profile
 
 __all__ = ["Mapper", "Tracker"]
+
+log = logging.getLogger(__name__)
 
 
 class Tracker:
@@ -28,6 +34,9 @@ class Tracker:
                 self._started = True
         cost.tracking_iterations = result.iterations
         cost.is_lost = result.is_lost
+        if result.is_lost:
+            reason = result.reason or "no reason given"
+            log.warning("frame %d is lost (%s); its predicted pose is kept", frame.index, reason)
         return result
 
 
@@ -39,10 +48,15 @@ class Mapper:
         self.profile = profile
 
     def step(self, frame: Frame, cost: FrameCost) -> MappingResult | None:
-        """Map a frame where it is due."""
+        """Map a frame where it is due; RunError where the loss is no number: such a map is lost, and so is the rest."""
         with self.profile.stage(cost, "mapping"):
             result = self.algorithm.map(frame)
         cost.mapping_iterations = result.iterations if result is not None else 0
+        if result is not None and result.iterations and not math.isfinite(result.loss):
+            raise RunError(
+                f"mapping of frame {frame.index} diverged: its loss is {result.loss} after {result.iterations} "
+                "iterations; lower the map's learning rates, or leave the frame out with dataset.frames"
+            )
         cost.map_size = self.algorithm.model.size
         cost.is_keyframe = bool(self.algorithm.keyframes) and self.algorithm.keyframes[-1] is frame
         return result

@@ -1,0 +1,1 @@
+"""Tracker, Mapper and Visualizer as processes: the engine `engine=multiprocess`."""

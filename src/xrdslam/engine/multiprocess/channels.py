@@ -1,0 +1,111 @@
+"""Everything that the processes of a run share."""
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.context import SpawnContext
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Event
+
+import numpy as np
+
+from xrdslam.core.dataset import Dataset
+from xrdslam.core.shared_algorithm import AlgorithmManager, Steps
+from xrdslam.engine.multiprocess.frame_ring import FrameRing
+from xrdslam.engine.multiprocess.memory import SharedMemory
+from xrdslam.engine.multiprocess.shared_state import SharedState
+
+__all__ = ["Channels", "Counters", "wait_until"]
+
+
+class Counters:
+    """How far tracking and mapping are, readable without asking anybody; each has one writer."""
+
+    def __init__(self) -> None:
+        self._memory = SharedMemory(4096)
+
+    def _word(self, position: int) -> np.ndarray:
+        return self._memory.bytes.numpy()[8 * position : 8 * position + 8].view(np.int64)
+
+    @property
+    def is_up(self) -> bool:
+        """Whether the mapper waits for its first frame."""
+        return bool(self._word(2)[0])
+
+    @is_up.setter
+    def is_up(self, value: bool) -> None:
+        self._word(2)[0] = value
+
+    @property
+    def tracked(self) -> int:
+        """Frames handed to the mapper."""
+        return int(self._word(0)[0])
+
+    @tracked.setter
+    def tracked(self, count: int) -> None:
+        self._word(0)[0] = count
+
+    @property
+    def mapped(self) -> int:
+        """Frames that the mapper is done with."""
+        return int(self._word(1)[0])
+
+    @mapped.setter
+    def mapped(self, count: int) -> None:
+        self._word(1)[0] = count
+
+
+@dataclass
+class Channels:
+    """Frames, maps and counters in shared memory; queues of indexes and versions; events that say when to look.
+
+    The buffers' names are those of the published framework; what goes through them is not images but where they lie.
+    """
+
+    address: str
+    key: bytes
+    frames: FrameRing
+    map: SharedState
+    """Published by the mapper."""
+    changes: SharedState
+    """Published by the tracker: what tracking changed in the map."""
+    counters: Counters
+    event_ready: Event
+    """The tracker handed a frame over."""
+    event_processed: Event
+    """The mapper is done with a frame."""
+    map_buffer: "Queue[int]"
+    """Tracker to mapper: the index of each frame in order, then -1."""
+
+    @classmethod
+    def build(cls, context: SpawnContext, dataset: Dataset) -> "Channels":
+        """Make all of them; only semaphores have a name in a file system, for the processes to open when they start."""
+        return cls(
+            address=f"\0xrdslam-{secrets.token_hex(16)}",  # Linux's abstract names: a socket without a file
+            key=secrets.token_bytes(32),
+            frames=FrameRing(dataset),
+            map=SharedState(),
+            changes=SharedState(),
+            counters=Counters(),
+            event_ready=context.Event(),
+            event_processed=context.Event(),
+            map_buffer=context.Queue(),
+        )
+
+    def close(self) -> None:
+        """Drop what has a name while it lives: the semaphores, in /dev/shm. Frames and maps live as long as views."""
+        del self.event_ready, self.event_processed, self.map_buffer
+
+    def algorithm(self) -> Steps:
+        """Connect to the shared algorithm; what is returned is a proxy of it."""
+        manager = AlgorithmManager(self.address, self.key)
+        manager.connect()
+        proxy: Steps = manager.algorithm()
+        return proxy
+
+
+def wait_until(is_due: Callable[[], bool], event: Event) -> None:
+    """Wait until something holds; `event` says when to look. Who would set it but died is the parent's to notice."""
+    while not is_due():
+        event.wait()
+        event.clear()  # before looking again: what is set after this is seen by the next wait

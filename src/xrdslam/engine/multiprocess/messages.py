@@ -1,0 +1,92 @@
+"""What processes tell one another of each step, and how it is packed."""
+
+import pickle
+import time
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from xrdslam.core.mapping import MappingResult
+from xrdslam.core.shared_algorithm import Entry
+from xrdslam.core.tracking import TrackingResult
+from xrdslam.engine.multiprocess.frame_ring import PlacedFrame
+from xrdslam.engine.profile import FrameCost, peak_rss_mib
+
+__all__ = ["Finished", "Mapped", "Message", "Meter", "Spent", "Tracked", "pack", "unpack"]
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a process has used up when it speaks."""
+
+    at_s: float
+    """On the clock that all processes of a machine share."""
+    cpu_s: float
+    peak_rss_mib: float
+
+
+class Meter:
+    """Counts what this process spends from now on."""
+
+    def __init__(self) -> None:
+        self.began_s, self._cpu_s = time.perf_counter(), time.process_time()
+
+    def read(self) -> Spent:
+        """Say what it is up to now."""
+        return Spent(time.perf_counter(), time.process_time() - self._cpu_s, peak_rss_mib())
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A frame was tracked."""
+
+    frame: PlacedFrame
+    trajectory: dict[str, Tensor]
+    """The poses that it changed, as `Trajectory.state_dict` gives them."""
+    cost: FrameCost
+    result: TrackingResult
+    changes: int
+    """The version of what tracking changed in the map; 0 where it changed nothing."""
+    began_s: float
+    """When the first frame was asked for."""
+    spent: Spent
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A frame was mapped, or passed over."""
+
+    index: int
+    trajectory: dict[str, Tensor]
+    cost: FrameCost
+    result: MappingResult | None
+    is_keyframe: bool
+    version: int
+    """The version of the map that it left."""
+    spent: Spent
+
+
+@dataclass(frozen=True)
+class Finished:
+    """Everything was refined after the last frame."""
+
+    trajectory: dict[str, Tensor]
+    version: int
+    finish_wall_s: float
+    finish_cpu_s: float
+    spent: Spent
+
+
+Message = Tracked | Mapped | Finished
+
+
+def pack(message: Message) -> Entry:
+    """Turn a message into what the server keeps."""
+    index = message.frame.index if isinstance(message, Tracked) else getattr(message, "index", -1)
+    return Entry(type(message).__name__.lower(), index, pickle.dumps(message, protocol=5))
+
+
+def unpack(entry: Entry) -> Message:
+    """Turn it back."""
+    message: Message = pickle.loads(entry.payload)
+    return message
