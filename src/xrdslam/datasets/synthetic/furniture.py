@@ -34,7 +34,8 @@ def block(
     turn: Vector = (0.0, 0.0, 0.0),
 ) -> Solid:
     """Return a box of outer extents `size`, edges rounded by `radius`, turned by (yaw, pitch, roll) in degrees."""
-    a, b, c = (max(s / 2 - radius, 0.0) for s in size)
+    assert radius <= min(size) / 2, "a rounding wider than the box would make it grow"
+    a, b, c = (s / 2 - radius for s in size)
     materials = material if isinstance(material, tuple) else (material,)
     return Solid(Shape.BOX, (a, b, c), radius, materials, centre, rotation(*turn))
 

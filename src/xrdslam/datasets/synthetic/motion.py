@@ -1,8 +1,9 @@
-"""A hand-held walk through a room: a smooth closed loop of poses that looks at the furniture.
+"""A hand-held walk through a room: a smooth closed round of poses that looks at what stands there.
 
-Speeds were set near those of the eight 2000-frame Replica trajectories that NICE-SLAM published, measured per frame
-(range over scenes): translation mean 0.58-1.46 cm, median 0.58-1.46, 95th percentile 0.78-2.00; rotation mean
-0.36-0.65 deg, median 0.30-0.51, 95th percentile 0.78-1.54; pitch within -74..39 deg, no roll, height spread 0.8-1.2 m.
+The statistics are those of the eight 2000-frame Replica trajectories that NICE-SLAM published (docs/synthetic.md has
+the table): the camera wanders at a nearly even speed on a way that bends every half metre, and looks about on a clock
+of its own, mostly a little, now and then a lot. Positions and directions of view are uniform cubic B-splines, whose
+every piece hangs on four control points only: so each point is drawn until its own piece is clear, never the whole.
 """
 
 import math
@@ -11,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
 
 from xrdslam.core.errors import DataError
 from xrdslam.datasets.synthetic.distance import signed_distance
@@ -21,87 +21,206 @@ __all__ = ["MotionConfig", "handheld_loop"]
 
 Curve = Float64[np.ndarray, "n 6"]
 """Columns x, y, z [m], yaw, pitch, roll [rad]."""
-SWAY = ((0.35, 0.004, 0.25), (0.9, 0.0015, 0.1), (1.7, 0.0005, 0.04))
+SWAY = ((0.35, 0.004, 0.25), (0.9, 0.0012, 0.08), (1.7, 0.0003, 0.02))
 """Hand tremor: frequency [Hz], amplitude in position [m] and in angle [deg]."""
 FRAMES_PER_SECOND = 30.0
+CANDIDATES = 48
+"""Control points drawn at once, of which the first that serves is taken."""
+BASIS = np.array([[-1, 3, -3, 1], [3, -6, 0, 4], [-3, 3, 3, 1], [1, 0, 0, 0]]) / 6.0
+"""Cubic B-spline: weight of each of four control points by powers 3, 2, 1, 0 of the piece's parameter in [0, 1)."""
 
 
 @dataclass
 class MotionConfig:
     """How the camera walks."""
 
-    clearance: float = 0.42
+    way_m: float = 0.0115
+    """Mean way a frame [m]."""
+    turn_deg: float = 0.5
+    """Mean turn a frame [deg]."""
+    frames: int = 2000
+    """Length of a round, about."""
+    clearance: float = 0.4
     """Least distance [m] from any surface, before tremor."""
-    heights: tuple[float, float] = (1.05, 1.75)
-    knots: int = 14
-    """Way points of the loop."""
-    speed: float = 0.0135
-    """Metres a frame where the camera does not turn."""
-    turn_deg: float = 1.0
-    """Degrees a frame where the camera does not move."""
-    tries: int = 200
+    heights: tuple[float, float] = (0.8, 1.95)
+    reach: float = 1.0
+    """Share of the room's half length and width that the way may use."""
+    stride: float = 0.44
+    """Distance [m] between control points of the way."""
+    glance_frames: int = 36
+    """Frames between control points of the direction of view."""
+    pitch_deg: tuple[float, float] = (-52.0, 12.0)
+    view: float = 1.1
+    """Least distance [m] of what the middle of the image shows, at control points."""
+    tries: int = 60
 
 
 def handheld_loop(
     scene: PackedScene, rng: np.random.Generator, config: MotionConfig | None = None
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """Return T_world_camera of one round, some 1100 frames; the frame after the last is the first."""
+    """Return T_world_camera of one round, about `config.frames` frames; the frame after the last is the first."""
     config = config or MotionConfig()
     for _ in range(config.tries):
-        spline = _way(scene, rng, config)
-        dense = spline(np.linspace(0, 1, 4000, endpoint=False))
-        if float(signed_distance(scene, dense[:, :3]).min()) >= config.clearance:
-            curve = _timed(spline, config)
-            return _poses(curve + _tremor(len(curve), rng))
+        way = _way(scene, rng, config)
+        if way is None:
+            continue
+        position = _evenly(way, config.way_m, rng)
+        view = _view_at_pace(scene, position, rng, config)
+        curve = np.column_stack((position, view, np.zeros(len(position))))
+        return _poses(curve + _tremor(len(curve), rng))
     raise DataError(f"no walk keeps {config.clearance} m from every surface of this room; give it more free floor")
 
 
-def _way(scene: PackedScene, rng: np.random.Generator, config: MotionConfig) -> CubicSpline:
-    """Draw way points around the room's middle and directions of view across it; join them by a periodic spline."""
-    k = config.knots
-    angle = 2 * math.pi * (np.arange(k) + rng.uniform(-0.25, 0.25, k)) / k + rng.uniform(0, 2 * math.pi)
-    half = scene.size[0, :2] - config.clearance - 0.2
-    position = np.empty((k, 3))
-    for n in range(k):
-        position[n] = _way_point(scene, rng, config, angle[n], half)
-    across = angle + math.pi + rng.uniform(-0.6, 0.6, k)
-    pitch = np.radians(rng.uniform(-32, -6, k))
-    turned = across - 2 * math.pi * np.arange(k) / k  # periodic once the full turn of the loop is taken out
-    knots = np.column_stack((position, turned, pitch, np.zeros(k)))
-    closed = CubicSpline(np.arange(k + 1) / k, np.vstack((knots, knots[:1])), bc_type="periodic")
-    closed.extrapolate = True  # the end is a full turn after the start, not the start again
-    closed.c[-2, :, 3] += 2 * math.pi  # and put back as a slope
-    starts = np.arange(k) / k
-    closed.c[-1, :, 3] += 2 * math.pi * starts
-    return closed
-
-
-def _way_point(
-    scene: PackedScene, rng: np.random.Generator, config: MotionConfig, angle: float, half: Float64[np.ndarray, "2"]
-) -> Float64[np.ndarray, "3"]:
-    """Return a free point in the given direction from the room's middle, a quarter to all of the way to the wall."""
-    reach = float(np.min(half / np.maximum(np.abs([math.cos(angle), math.sin(angle)]), 1e-9)))
-    r = reach * rng.uniform(0.25, 1.0, 32)
-    z = rng.uniform(*config.heights, 32)
-    points = np.column_stack((r * math.cos(angle), r * math.sin(angle), z))
-    free = signed_distance(scene, points) > config.clearance + 0.1
-    return np.asarray(points[int(np.argmax(free))])
-
-
-def _timed(spline: CubicSpline, config: MotionConfig) -> Curve:
-    """Sample the loop once a frame: a step costs the time of its way and of its turn, as the legs of a triangle.
-
-    The cost is smoothed along the loop, so that the camera slows down where its way doubles back.
-    """
-    u = np.linspace(0, 1, 20001)
-    step = np.diff(spline(u), axis=0)
-    way = np.linalg.norm(step[:, :3], axis=1) / config.speed
-    turn = np.degrees(np.linalg.norm(step[:, 3:5], axis=1)) / config.turn_deg
-    cost = gaussian_filter1d(np.hypot(way, turn), 0.3 * len(way) / config.knots, mode="wrap")
-    time = np.concatenate(([0.0], np.cumsum(cost)))
-    frames = round(float(time[-1]))
-    curve: Curve = spline(np.interp(np.arange(frames) * (time[-1] / frames), time, u))
+def _spline(control: Float64[np.ndarray, "k d"], at: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n d"]:
+    """Return the closed uniform cubic B-spline at parameters in [0, k)."""
+    piece = np.floor(at).astype(int)
+    t = at - piece
+    weight = np.stack((t**3, t**2, t, np.ones_like(t)), 1) @ BASIS.T
+    near = control[(piece[:, None] + np.arange(4)) % len(control)]
+    curve: Float64[np.ndarray, "n d"] = (weight[:, :, None] * near).sum(1)
     return curve
+
+
+def _way(scene: PackedScene, rng: np.random.Generator, config: MotionConfig) -> Float64[np.ndarray, "k 3"] | None:
+    """Draw control points one by one, each so that the spline's last piece is clear and the start can be reached."""
+    count = max(8, round(config.way_m * config.frames / (0.89 * config.stride)))
+    half = np.maximum(config.reach * (scene.size[0, :2] - config.clearance), 0.0)
+    low, high = np.array([*-half, config.heights[0]]), np.array([*half, config.heights[1]])
+    points = np.empty((0, 3))
+    t = np.linspace(0, 1, 9)
+    weights = np.stack((t**3, t**2, t, np.ones_like(t)), 1) @ BASIS.T
+    for _ in range(6 * count):
+        if len(points) == count:
+            break
+        tried = _candidates(points, rng, config, low, high, count - len(points))
+        free = signed_distance(scene, tried) > config.clearance
+        if len(points) >= 3:
+            pieces = weights[:, :3] @ points[-3:] + weights[:, 3, None] * tried[:, None]
+            steps = np.linalg.norm(np.diff(pieces, axis=1), axis=2) * (len(t) - 1)
+            free &= steps.min(1) > 0.55 * config.stride  # no cusp: it could only be passed with a jerk
+            free[free] = (signed_distance(scene, pieces[free]) > config.clearance).all(1)
+        # a dead end: go back a few points and try another way
+        points = np.vstack((points, tried[np.argmax(free)])) if free.any() else points[: max(len(points) - 4, 0)]
+    if len(points) < count:
+        return None
+    joint = _spline(points, np.arange(0, count, 1 / 16))
+    is_free = float(signed_distance(scene, joint).min()) > config.clearance
+    is_smooth = float(np.linalg.norm(np.diff(joint, axis=0), axis=1).min()) * 16 > 0.5 * config.stride
+    return points if is_free and is_smooth else None
+
+
+def _candidates(
+    points: Float64[np.ndarray, "k 3"],
+    rng: np.random.Generator,
+    config: MotionConfig,
+    low: Float64[np.ndarray, "3"],
+    high: Float64[np.ndarray, "3"],
+    left: int,
+) -> Float64[np.ndarray, "n 3"]:
+    """Return control points a stride from the last, bent from the way so far, from which `left` strides lead home."""
+    if len(points) == 0:
+        return rng.uniform(low, high, (CANDIDATES, 3))
+    last = points[-1]
+    ahead = last - points[-2] if len(points) > 1 else rng.normal(size=3)
+    yaw = math.atan2(ahead[1], ahead[0]) + rng.normal(0, 0.75, CANDIDATES) * np.linspace(1, 3, CANDIDATES)
+    home = points[0] - last
+    if float(np.linalg.norm(home)) > config.stride * max(left - 2, 0.5) * 0.8:
+        yaw = math.atan2(home[1], home[0]) + rng.normal(0, 0.25, CANDIDATES)
+    rise = rng.normal(0, 0.45, CANDIDATES) - 0.5 * (last[2] - 0.5 * (low[2] + high[2]))
+    rise = np.clip(rise, -0.8, 0.8)
+    flat = config.stride * np.sqrt(1 - (rise / np.maximum(1, np.abs(rise))) ** 2 * 0.64)
+    tried = last + np.stack((flat * np.cos(yaw), flat * np.sin(yaw), config.stride * rise), 1)
+    inside = ((tried >= low) & (tried <= high)).all(1)
+    return np.concatenate((tried[inside], np.clip(tried[~inside], low, high)))
+
+
+def _evenly(control: Float64[np.ndarray, "k 3"], way_m: float, rng: np.random.Generator) -> Float64[np.ndarray, "n 3"]:
+    """Walk along the closed spline in steps of nearly `way_m`: slow waves change their length by a sixth."""
+    at = np.linspace(0, len(control), 64 * len(control) + 1)
+    dense = _spline(control, at % len(control))
+    length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))))
+    frames = round(length[-1] / way_m)
+    clock = np.arange(frames) / frames
+    speed = np.ones(frames)
+    for waves in rng.integers(3, frames // 120 + 4, 6):
+        speed += 0.1 * np.sin(2 * math.pi * (waves * clock + rng.uniform()))
+    gone = np.concatenate(([0.0], np.cumsum(speed)))[:-1] * length[-1] / speed.sum()
+    return _spline(control, CubicSpline(length, at)(gone) % len(control))
+
+
+def _view_at_pace(
+    scene: PackedScene, position: Float64[np.ndarray, "n 3"], rng: np.random.Generator, config: MotionConfig
+) -> Float64[np.ndarray, "n 2"]:
+    """Look about until the mean turn is within a twentieth of what is asked; the nearest of six attempts, else."""
+    best, least, larger = None, math.inf, 1.45  # the spline takes corners short
+    for _ in range(6):
+        view = _view(scene, position, rng, config, larger)
+        step = np.diff(view, axis=0)
+        turned = float(np.degrees(np.hypot(step[:, 0] * np.cos(view[1:, 1]), step[:, 1]).mean())) / config.turn_deg
+        if abs(math.log(turned)) < least:
+            best, least = view, abs(math.log(turned))
+        if least < 0.05:
+            break
+        larger = min(max(larger / turned, 0.7 * larger), 1.4 * larger)
+    assert best is not None
+    return best
+
+
+def _view(
+    scene: PackedScene,
+    position: Float64[np.ndarray, "n 3"],
+    rng: np.random.Generator,
+    config: MotionConfig,
+    larger: float,
+) -> Float64[np.ndarray, "n 2"]:
+    """Return yaw and pitch [rad] of every frame: many small glances, a few large, at what is far enough away."""
+    frames = len(position)
+    count = max(8, round(frames / config.glance_frames))
+    mean_step = math.radians(larger * config.turn_deg * frames / count)
+    low, high = np.radians(config.pitch_deg)
+    eye = position[(np.arange(count) * frames) // count]
+    points = np.zeros((count, 2))
+    for k in range(count):
+        yaw0, pitch0 = points[k - 1] if k else (math.atan2(*-eye[0, 1::-1]), -0.3)
+        size = rng.gamma(1.8, mean_step / 1.8, CANDIDATES)
+        angle = rng.uniform(0, 2 * math.pi, CANDIDATES)
+        step = np.stack((1.1 * size * np.cos(angle), 0.55 * size * np.sin(angle)), 1)
+        home = math.remainder(points[0, 0] - yaw0, 2 * math.pi)
+        left = count - k
+        if k and abs(home) > 0.6 * max(left - 2, 0.5):
+            most = max(abs(home) / max(left - 2, 1), 0.2)
+            step[:, 0] = np.sign(home) * np.abs(rng.normal(0.6, 0.1, CANDIDATES)).clip(0.2, most)
+        tried = np.stack((yaw0 + step[:, 0], np.clip(pitch0 + step[:, 1], low, high)), 1)
+        tried[:, 1] += 0.25 * (0.5 * (low + high) - tried[:, 1])  # back towards the middle of the range
+        seen = _first_surface(scene, eye[k], tried)
+        # a wall close by is looked away from: the best of the glances where none is free
+        points[k] = tried[np.argmax(seen > config.view) if (seen > config.view).any() else np.argmax(seen)]
+    turns = round((points[-1, 0] - points[0, 0]) / (2 * math.pi))
+    at = np.arange(frames) * count / frames - 1.5  # a control point has its greatest weight 1.5 pieces later
+    return _turned_spline(points, at, 2 * math.pi * turns)
+
+
+def _turned_spline(
+    control: Float64[np.ndarray, "k 2"], at: Float64[np.ndarray, " n"], turned: float
+) -> Float64[np.ndarray, "n 2"]:
+    """Return the closed spline of angles whose first column gains `turned` [rad] a round."""
+    count = len(control)
+    slope = np.array([turned / count, 0.0])
+    level = control - np.arange(count)[:, None] * slope
+    curve: Float64[np.ndarray, "n 2"] = _spline(level, at % count) + (at[:, None] + 1.5) * slope
+    return curve
+
+
+def _first_surface(
+    scene: PackedScene, eye: Float64[np.ndarray, "3"], angles: Float64[np.ndarray, "n 2"]
+) -> Float64[np.ndarray, " n"]:
+    """Return how far [m] one sees along (yaw, pitch), to a few centimetres: twelve steps by the signed distance."""
+    yaw, pitch = angles.T
+    ray = np.stack((np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)), 1)
+    t = np.zeros(len(ray))
+    for _ in range(12):
+        t += np.maximum(signed_distance(scene, eye + t[:, None] * ray), 0.0)
+    return t
 
 
 def _tremor(frames: int, rng: np.random.Generator) -> Curve:

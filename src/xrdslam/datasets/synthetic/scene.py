@@ -15,6 +15,7 @@ from jaxtyping import Float64, Int64
 __all__ = [
     "Light",
     "Material",
+    "Pace",
     "PackedScene",
     "Pattern",
     "Scalar",
@@ -57,6 +58,11 @@ class Pattern(IntEnum):
     SCREEN = 12
     STONE = 13
     CLOCK = 14
+    CEILING = 15
+    CARPET = 16
+    WHITEBOARD = 17
+    POSTER = 18
+    PLASTER = 19
 
 
 @dataclass(frozen=True)
@@ -86,8 +92,8 @@ class Solid:
 
     def moved(self, R: Float64[np.ndarray, "3 3"], t: Vector) -> "Solid":
         """Return the solid after the rigid motion p -> R p + t."""
-        x, y, z = R @ np.asarray(self.centre) + np.asarray(t)
-        return replace(self, centre=(float(x), float(y), float(z)), R_world_local=R @ self.R_world_local)
+        centre = _vector(R @ np.asarray(self.centre) + np.asarray(t))
+        return replace(self, centre=centre, R_world_local=R @ self.R_world_local)
 
 
 @dataclass(frozen=True)
@@ -98,6 +104,18 @@ class Light:
     edge_u: Vector
     edge_v: Vector
     radiance: Vector
+
+    def moved(self, R: Float64[np.ndarray, "3 3"], t: Vector) -> "Light":
+        """Return the light after the rigid motion p -> R p + t."""
+        centre, u, v = (R @ np.asarray(x, dtype=np.float64) for x in (self.centre, self.edge_u, self.edge_v))
+        return Light(_vector(centre + np.asarray(t)), _vector(u), _vector(v), self.radiance)
+
+
+class Pace(NamedTuple):
+    """How fast a camera walks through a room, on average over frames."""
+
+    way_m: float
+    turn_deg: float
 
 
 class PackedScene(NamedTuple):
@@ -136,6 +154,7 @@ class Scene:
     """Materials of the room at x+, x-, y+, y-, ceiling, floor."""
     solids: tuple[Solid, ...]
     lights: tuple[Light, ...]
+    pace: Pace = field(default_factory=lambda: Pace(0.0115, 0.5))
 
     @property
     def bounds(self) -> Float64[np.ndarray, "2 3"]:
@@ -179,6 +198,11 @@ def rotation(yaw_deg: Scalar = 0.0, pitch_deg: Scalar = 0.0, roll_deg: Scalar = 
     x = np.array([[1.0, 0, 0], [0, cr, -sr], [0, sr, cr]])
     R: Float64[np.ndarray, "3 3"] = z @ y @ x
     return R
+
+
+def _vector(array: Float64[np.ndarray, "3"]) -> Vector:
+    x, y, z = array
+    return float(x), float(y), float(z)
 
 
 def _six(materials: tuple[Material, ...]) -> tuple[Material, ...]:

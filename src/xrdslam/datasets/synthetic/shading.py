@@ -7,7 +7,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32, Int64, UInt8
 
 from xrdslam.datasets.synthetic.bvh import Bvh
 from xrdslam.datasets.synthetic.charts import chart_half, chart_of, chart_plane
@@ -16,7 +16,7 @@ from xrdslam.datasets.synthetic.scene import PackedScene
 from xrdslam.datasets.synthetic.solids import core_gradient
 from xrdslam.datasets.synthetic.textures import albedo
 
-__all__ = ["Lightmap", "World", "display_linear", "radiance", "srgb_byte", "surface_frame"]
+__all__ = ["Lightmap", "World", "display_linear", "radiance", "srgb_byte", "srgb_codes", "surface_frame"]
 
 
 class Lightmap(NamedTuple):
@@ -118,3 +118,10 @@ def srgb_byte(value: float) -> int:
     """Return the sRGB code of a linear value in [0, 1] (IEC 61966-2-1)."""
     c = 12.92 * value if value <= 0.0031308 else 1.055 * value ** (1.0 / 2.4) - 0.055
     return int(min(max(c, 0.0), 1.0) * 255.0 + 0.5)
+
+
+def srgb_codes(steps: int = 1 << 14) -> UInt8[np.ndarray, " n"]:
+    """Return the codes of `steps` linear values in [0, 1): a table right to a fifth of a code."""
+    value = (np.arange(steps) + 0.5) / steps
+    code = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
+    return np.floor(code * 255.0 + 0.5).astype(np.uint8)

@@ -12,6 +12,7 @@ import numpy as np
 from xrdslam.datasets.synthetic.compiled import compiled
 from xrdslam.datasets.synthetic.noise import cell_random, edge, fbm, mix, smooth_step, visible
 from xrdslam.datasets.synthetic.pictures import book, clock, painting, rug, screen, window
+from xrdslam.datasets.synthetic.prints import carpet, ceiling, plaster, poster, whiteboard
 from xrdslam.datasets.synthetic.stripes import line
 
 __all__ = ["albedo"]
@@ -178,7 +179,17 @@ def albedo(  # one dispatcher over every pattern
         colour = stone(c0, c1, c2, x, y, z, w, scale, seed)
     elif pattern == 14:
         colour = clock(c0, c1, c2, u, v, hu, w)
-    mottle = 1.0 + k[10] * fbm(x, y, z, 16.0, 4, w, seed + 40)
+    elif pattern == 15:
+        colour = ceiling(c0, c1, c2, u, v, w, scale, seed)
+    elif pattern == 16:
+        colour = carpet(c0, c1, c2, u, v, w, scale, seed)
+    elif pattern == 17:
+        colour = whiteboard(c0, c1, c2, u, v, hu, hv, w, seed)
+    elif pattern == 18:
+        colour = poster(c0, c1, c2, u, v, hu, hv, w, seed)
+    elif pattern == 19:
+        colour = plaster(c0, c1, c2, x, y, z, w, scale, seed)
+    mottle = 1.0 + (k[10] * fbm(x, y, z, 16.0, 3, w, seed + 40) if k[10] > 0.0 else 0.0)
     return (
         min(max(colour[0] * mottle, 0.01), 0.95),
         min(max(colour[1] * mottle, 0.01), 0.95),

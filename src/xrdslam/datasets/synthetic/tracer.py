@@ -13,12 +13,15 @@ from jaxtyping import Float32, Float64, UInt8
 from xrdslam.datasets.synthetic.bvh import STACK, first_hit
 from xrdslam.datasets.synthetic.compiled import compiled, inlined
 from xrdslam.datasets.synthetic.rows import over_rows
-from xrdslam.datasets.synthetic.shading import World, display_linear, radiance, srgb_byte, surface_frame
+from xrdslam.datasets.synthetic.shading import World, display_linear, radiance, srgb_codes, surface_frame
 
 __all__ = ["render"]
 
 ROTATED = ((-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375))
 """Four samples [px from the centre] with four different rows and columns: upright edges get four steps too."""
+FAINT, FAINT_SHARE = 0.002, 0.06
+"""Steps of display-linear colour that need no smoothing: about three codes of 255."""
+CODES = srgb_codes()
 
 
 def render(
@@ -35,8 +38,8 @@ def render(
     seen = np.empty((height, width), np.int64)
     colour = np.empty((height, width, 3), np.float64)
     rgb = np.empty((height, width, 3), np.uint8)
-    over_rows(_pass, height, world, lens, pose, False, depth, seen, colour, rgb)
-    over_rows(_pass, height, world, lens, pose, True, depth, seen, colour, rgb)
+    over_rows(_pass, height, world, lens, pose, False, depth, seen, colour, rgb, CODES)
+    over_rows(_pass, height, world, lens, pose, True, depth, seen, colour, rgb, CODES)
     return rgb, depth
 
 
@@ -61,19 +64,33 @@ def _sample(
 
 
 @inlined
-def _is_edge(seen: np.ndarray, row: int, column: int) -> bool:
-    height, width = seen.shape
-    for j in range(max(row - 1, 0), min(row + 2, height)):
-        for i in range(max(column - 1, 0), min(column + 2, width)):
-            if seen[j, i] != seen[row, column]:
-                return True
+def _differs(seen: np.ndarray, colour: np.ndarray, row: int, column: int, j: int, i: int) -> bool:
+    """Return whether pixel (j, i) shows another surface than (row, column), and a colour that is seen to be another."""
+    if seen[j, i] == seen[row, column]:
+        return False
+    for c in range(3):
+        a, b = colour[row, column, c], colour[j, i, c]
+        if abs(a - b) > FAINT + FAINT_SHARE * max(a, b):
+            return True
     return False
+
+
+@inlined
+def _is_edge(seen: np.ndarray, colour: np.ndarray, row: int, column: int) -> bool:
+    height, width = seen.shape
+    return (
+        (row > 0 and _differs(seen, colour, row, column, row - 1, column))
+        or (column > 0 and _differs(seen, colour, row, column, row, column - 1))
+        or (row + 1 < height and _differs(seen, colour, row, column, row + 1, column))
+        or (column + 1 < width and _differs(seen, colour, row, column, row, column + 1))
+    )
 
 
 @compiled
 def _pass(
     begin: int, end: int, world: World, lens: np.ndarray, pose: np.ndarray, is_refining: bool,
-    depth: np.ndarray, seen: np.ndarray, colour: np.ndarray, rgb: np.ndarray,
+    depth: np.ndarray, seen: np.ndarray, centre: np.ndarray, rgb: np.ndarray,
+    codes: np.ndarray,
 ) -> None:  # fmt: skip
     """Look through every pixel's centre; or, refining, look again at the pixels on edges and write the picture.
 
@@ -84,13 +101,10 @@ def _pass(
         guess = 0
         for column in range(seen.shape[1]):
             count, share = (4, 0.25) if is_refining else (1, 1.0)
-            if is_refining and not _is_edge(seen, row, column):
+            if is_refining and not _is_edge(seen, centre, row, column):
                 count = 0
-            r, g, b = (
-                (0.0, 0.0, 0.0)
-                if count > 0
-                else (colour[row, column, 0], colour[row, column, 1], colour[row, column, 2])
-            )
+            c = centre[row, column]
+            r, g, b = (0.0, 0.0, 0.0) if count > 0 else (c[0], c[1], c[2])
             for k in range(count):
                 du, dv = ROTATED[k] if is_refining else (0.0, 0.0)
                 s = _sample(world, lens, pose, column + du, row + dv, math.sqrt(share), guess, stack)
@@ -98,7 +112,9 @@ def _pass(
                 r, g, b = r + share * s[2], g + share * s[3], b + share * s[4]
                 if not is_refining:
                     depth[row, column], seen[row, column] = s[0], s[1]
-            colour[row, column, 0], colour[row, column, 1], colour[row, column, 2] = r, g, b
-            if is_refining:
-                for c in range(3):
-                    rgb[row, column, c] = srgb_byte(colour[row, column, c])
+            if is_refining:  # centres stay as they are: other rows' edges are found by them
+                n = len(codes)
+                rgb[row, column, 0], rgb[row, column, 1] = codes[min(int(r * n), n - 1)], codes[min(int(g * n), n - 1)]
+                rgb[row, column, 2] = codes[min(int(b * n), n - 1)]
+            else:
+                c[0], c[1], c[2] = r, g, b
