@@ -38,7 +38,7 @@ def test_depth_and_colour_agree_between_frames_under_the_exact_poses(room: Synth
     for i, j in ((0, 1), (3, 13), (5, 35)):
         gap, colour_i, colour_j = seen_again(room, i, j)
         assert len(gap) > 2000
-        assert gap.abs().median() < 5e-4  # bilinear interpolation of 1/plane at 96 px
+        assert gap.abs().median() < 1e-3  # bilinear interpolation of 1/plane and of round things at 96 px
         visible = gap.abs() < 0.01
         assert visible.float().mean() > 0.7
         assert (colour_i - colour_j)[visible].abs().median() < 0.02  # texture below a pixel is what differs

@@ -144,11 +144,9 @@ def arc_sofa(
 
 
 def bean_bag(cloth: Material) -> Piece:
-    """Return a bean bag: a slumped heap with a soft back."""
-    return [
-        frustum(cloth, 0.46, 0.36, (0, 0, 0), 0.34, 0.15),
-        frustum(cloth, 0.36, 0.2, (0, 0.12, 0.22), 0.4, 0.15, (0, 0, -14)),
-    ]
+    """Return a bean bag: a slumped cone with a loop to carry it by."""
+    loop = frustum(BLACK, 0.05, 0.05, (0, 0, 0.56), 0.05, 0.02)
+    return [frustum(cloth, 0.46, 0.22, (0, 0, 0), 0.58, 0.15), loop]
 
 
 def trunk(wood: Material, metal: Material, width: Scalar = 0.9) -> Piece:

@@ -31,9 +31,9 @@ class LightingConfig:
 
     spacing: float = 0.06
     """Distance between samples [m]."""
-    light_samples: int = 5
+    light_samples: int = 4
     """Samples along each side of a rectangular light."""
-    gather_rays: int = 96
+    gather_rays: int = 72
     """Directions in which every sample looks for light from other surfaces, in the last bounce; before, a quarter."""
     bounces: int = 2
     exposure: float = 0.62

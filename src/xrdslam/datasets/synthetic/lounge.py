@@ -62,7 +62,7 @@ def lounge(rng: np.random.Generator) -> Scene:
     written(site, "west", -1.05, 1.4, 1.1)
     posters(site, POSTERS)
     windows(site, ash, "east", (0.35,), 2.2, 1.3)
-    site.on_wall(fittings.door(dark), "south", -2.0 + 4.15)
+    site.on_wall(fittings.door(dark), "south", 2.05)
     site.skirting(dark)
     return site.scene(shell(site), Pace(0.0091, 0.57))
 

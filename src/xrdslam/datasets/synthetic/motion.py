@@ -93,20 +93,32 @@ def _way(scene: PackedScene, rng: np.random.Generator, config: MotionConfig) -> 
         if len(points) == count:
             break
         tried = _candidates(points, rng, config, low, high, count - len(points))
-        free = signed_distance(scene, tried) > config.clearance
-        if len(points) >= 3:
-            pieces = weights[:, :3] @ points[-3:] + weights[:, 3, None] * tried[:, None]
-            steps = np.linalg.norm(np.diff(pieces, axis=1), axis=2) * (len(t) - 1)
-            free &= steps.min(1) > 0.55 * config.stride  # no cusp: it could only be passed with a jerk
-            free[free] = (signed_distance(scene, pieces[free]) > config.clearance).all(1)
+        first = next((k for k in range(len(tried)) if _is_free(scene, points, tried[k], weights, config)), None)
         # a dead end: go back a few points and try another way
-        points = np.vstack((points, tried[np.argmax(free)])) if free.any() else points[: max(len(points) - 4, 0)]
+        points = points[: max(len(points) - 4, 0)] if first is None else np.vstack((points, tried[first]))
     if len(points) < count:
         return None
     joint = _spline(points, np.arange(0, count, 1 / 16))
     is_free = float(signed_distance(scene, joint).min()) > config.clearance
     is_smooth = float(np.linalg.norm(np.diff(joint, axis=0), axis=1).min()) * 16 > 0.5 * config.stride
     return points if is_free and is_smooth else None
+
+
+def _is_free(
+    scene: PackedScene,
+    points: Float64[np.ndarray, "k 3"],
+    point: Float64[np.ndarray, "3"],
+    weights: Float64[np.ndarray, "n 4"],
+    config: MotionConfig,
+) -> bool:
+    """Return whether a next control point, and the piece of the spline it completes, are clear and without cusp."""
+    if len(points) < 3:
+        return float(signed_distance(scene, point)) > config.clearance
+    piece = weights[:, :3] @ points[-3:] + weights[:, 3, None] * point
+    steps = np.linalg.norm(np.diff(piece, axis=0), axis=1) * (len(weights) - 1)
+    if float(steps.min()) < 0.55 * config.stride:  # a cusp: it could only be passed with a jerk
+        return False
+    return float(signed_distance(scene, np.vstack((piece, point))).min()) > config.clearance
 
 
 def _candidates(
@@ -192,9 +204,7 @@ def _view(
             step[:, 0] = np.sign(home) * np.abs(rng.normal(0.6, 0.1, CANDIDATES)).clip(0.2, most)
         tried = np.stack((yaw0 + step[:, 0], np.clip(pitch0 + step[:, 1], low, high)), 1)
         tried[:, 1] += 0.25 * (0.5 * (low + high) - tried[:, 1])  # back towards the middle of the range
-        seen = _first_surface(scene, eye[k], tried)
-        # a wall close by is looked away from: the best of the glances where none is free
-        points[k] = tried[np.argmax(seen > config.view) if (seen > config.view).any() else np.argmax(seen)]
+        points[k] = tried[_first_far(scene, eye[k], tried, config.view)]
     turns = round((points[-1, 0] - points[0, 0]) / (2 * math.pi))
     at = np.arange(frames) * count / frames - 1.5  # a control point has its greatest weight 1.5 pieces later
     return _turned_spline(points, at, 2 * math.pi * turns)
@@ -211,16 +221,28 @@ def _turned_spline(
     return curve
 
 
-def _first_surface(
-    scene: PackedScene, eye: Float64[np.ndarray, "3"], angles: Float64[np.ndarray, "n 2"]
-) -> Float64[np.ndarray, " n"]:
-    """Return how far [m] one sees along (yaw, pitch), to a few centimetres: twelve steps by the signed distance."""
+def _first_far(
+    scene: PackedScene, eye: Float64[np.ndarray, "3"], angles: Float64[np.ndarray, "n 2"], least: float
+) -> int:
+    """Return the first (yaw, pitch) that sees at least `least` [m] far, or the one that sees farthest.
+
+    Twelve steps by the signed distance find the surface to a few centimetres.
+    """
     yaw, pitch = angles.T
-    ray = np.stack((np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)), 1)
-    t = np.zeros(len(ray))
-    for _ in range(12):
-        t += np.maximum(signed_distance(scene, eye + t[:, None] * ray), 0.0)
-    return t
+    rays = np.stack((np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)), 1)
+    best, farthest = 0, -1.0
+    for begin in range(0, len(rays), 4):
+        ray = rays[begin : begin + 4]
+        t = np.zeros(len(ray))
+        for _ in range(12):
+            t += np.maximum(signed_distance(scene, eye + t[:, None] * ray), 0.0)
+            if float(t.min()) > least:
+                break
+        if (t > least).any():
+            return begin + int(np.argmax(t > least))
+        if float(t.max()) > farthest:
+            best, farthest = begin + int(np.argmax(t)), float(t.max())
+    return best
 
 
 def _tremor(frames: int, rng: np.random.Generator) -> Curve:

@@ -14,7 +14,7 @@ __all__ = ["open_office"]
 P = Pattern
 POSTERS = (
     ("west", 1.3, 0.7, 1.0, 4),
-    ("west", 2.3, 0.6, 0.8, 2),
+    ("west", 2.02, 0.6, 0.8, 2),
     ("east", 0.6, 0.8, 1.1, 4),
     ("east", -0.7, 1.1, 0.75, 0),
     ("east", -2.1, 0.7, 0.95, 3),
@@ -68,7 +68,7 @@ def open_office(rng: np.random.Generator) -> Scene:
     windows(site, paint, "north", (0.4, 2.6), 1.8, 1.4)
     site.on_wall(fittings.pipes(steel, 7.2), "south", 0.0, 2.6)
     site.on_wall(fittings.clock(0.2), "south", 2.2, 2.25)
-    site.on_wall(fittings.door(birch), "west", -1.72 + 5.0 - 0.02)
+    site.on_wall(fittings.door(birch), "west", 2.86)
     site.skirting(steel)
     return site.scene(shell(site), Pace(0.0146, 0.36))
 

@@ -84,7 +84,7 @@ def seminar_room(rng: np.random.Generator) -> Scene:
     posters(site, POSTERS, 1.85)
     windows(site, beech, "east", (-1.1, 1.05), 1.7, 1.5)
     site.on_wall(fittings.pipes(w.METAL, 6.0, 3), "south", 0.0, 2.7)
-    site.on_wall(fittings.door(dark), "south", 2.95 - 0.1)
+    site.on_wall(fittings.door(dark), "south", 2.85)
     site.skirting(dark)
     return site.scene(shell(site), Pace(0.0126, 0.53))
 
