@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from xrdslam.core.surface import PointCloud, TriangleMesh
-from xrdslam.pictures.outside import Outside, picture_of
+from xrdslam.pictures.outside import Drawing, Outside
 from xrdslam.pictures.raster import draw_points, draw_triangles
 
 INTRINSICS, SIZE = (40.0, 42.0, 15.5, 11.5), (32, 24)
@@ -87,13 +87,16 @@ def test_a_picture_has_the_colours_of_its_map_on_its_background() -> None:
     view = Outside(np.eye(4))
     red = np.tile([1.0, 0, 0], (3, 1))
     front = np.array([[-9.0, -9, 2], [0, 9, 2], [9, -9, 2]])
-    image = picture_of(TriangleMesh(front, np.array([[0, 1, 2]]), red), view, (40, 30), (10, 20, 30))
+    drawing = Drawing(TriangleMesh(front, np.array([[0, 1, 2]]), red), view, (40, 30))
+    image = drawing.picture((10, 20, 30))
     assert image.shape == (30, 40, 3)
     assert image[10, 20, 0] > 150  # lit nearly head-on
     assert image[10, 20, 1:].max() == 0
-    empty = picture_of(PointCloud(np.zeros((0, 3))), view, (40, 30), (10, 20, 30))
+    assert drawing.picture(colors=red[:, ::-1])[10, 20, 0] == 0  # in other colours
+    empty = Drawing(PointCloud(np.zeros((0, 3))), view, (40, 30)).picture((10, 20, 30))
     assert (empty == [10, 20, 30]).all()
-    cloud = picture_of(PointCloud(np.array([[0.0, 0, 2]]), np.array([[0.0, 1, 0]])), view, (40, 30), point_radius_m=0.3)
+    green = PointCloud(np.array([[0.0, 0, 2]]), np.array([[0.0, 1, 0]]))
+    cloud = Drawing(green, view, (40, 30), point_radius_m=0.3).picture()
     assert cloud[15, 20].tolist() == [0, 255, 0]
 
 

@@ -8,9 +8,9 @@ from jaxtyping import Float, Float64, UInt8
 from numpy.typing import NDArray
 
 from xrdslam.core.surface import PointCloud, TriangleMesh
-from xrdslam.pictures.raster import Buffers, draw_points, draw_triangles
+from xrdslam.pictures.raster import draw_points, draw_triangles
 
-__all__ = ["Outside", "picture_of"]
+__all__ = ["Drawing", "Outside"]
 
 Pose = Float64[NDArray[np.float64], "4 4"]
 Points = Float[np.ndarray, "n 3"]
@@ -51,7 +51,8 @@ class Outside:
         z = np.cos(rise) * level - np.sin(rise) * up
         x = np.cross(z, up) / np.linalg.norm(np.cross(z, up))
         rotation = np.stack([x, np.cross(z, x), z], 1)
-        finite = points_world[np.isfinite(points_world).all(1)].astype(np.float64)
+        some = points_world[:: max(1, len(points_world) // 50_000)]  # say as well where a million lie
+        finite = some[np.isfinite(some).all(1)].astype(np.float64)
         inner = finite if len(finite) else np.zeros((1, 3))
         low, high = np.percentile(inner @ rotation, [1, 99], axis=0)
         centre = (low + high) / 2
@@ -79,43 +80,51 @@ class Outside:
         return np.stack([fx * x / safe + cx, fy * y / safe + cy], 1)
 
 
-def picture_of(
-    surface: TriangleMesh | PointCloud,
-    view: Outside,
-    size: tuple[int, int],
-    background: tuple[int, int, int] = (255, 255, 255),
-    point_radius_m: float = 0.01,
-) -> Picture:
-    """Draw a mesh (its front sides, shaded as by a lamp at the eye) or a cloud; `size` is width, height [px]."""
-    width, height = (SUPERSAMPLING * side for side in size)
-    intrinsics = view.intrinsics(width, height)
-    if isinstance(surface, TriangleMesh):
-        points = view.to_camera(surface.vertices)
-        seen = draw_triangles(points, surface.faces, intrinsics, (width, height))
-        rgb = _shaded(seen, surface, points)
-    else:
-        seen = draw_points(view.to_camera(surface.points), point_radius_m, intrinsics, (width, height))
-        colors = np.full((len(surface.points), 3), CLAY) if surface.colors is None else surface.colors
-        rgb = colors[seen.which[seen.which >= 0]]
-    image = np.empty((height, width, 3), np.uint8)
-    image[:] = background
-    image[seen.which >= 0] = np.rint(255 * np.clip(rgb, 0, 1)).astype(np.uint8)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+class Drawing:
+    """A mesh (its front sides) or a cloud as a camera sees it, to be coloured once or in several ways."""
 
+    def __init__(
+        self, surface: TriangleMesh | PointCloud, view: Outside, size: tuple[int, int], point_radius_m: float = 0.01
+    ) -> None:
+        """Draw it; `size` is width, height [px]."""
+        self.surface, self.size = surface, size
+        width, height = (SUPERSAMPLING * side for side in size)
+        intrinsics = view.intrinsics(width, height)
+        if isinstance(surface, TriangleMesh):
+            self._points = view.to_camera(surface.vertices)
+            self._seen = draw_triangles(self._points, surface.faces, intrinsics, (width, height))
+        else:
+            self._points = view.to_camera(surface.points)
+            self._seen = draw_points(self._points, point_radius_m, intrinsics, (width, height))
+        self._is_covered = self._seen.which >= 0
+        self.shown, self._place = np.unique(self._seen.which[self._is_covered], return_inverse=True)
+        """The triangles or points that are seen."""
 
-def _shaded(
-    seen: Buffers, mesh: TriangleMesh, points_camera: Float64[NDArray[np.float64], "n 3"]
-) -> Float64[NDArray[np.float64], "p 3"]:
-    """Return the colour of each covered pixel: the face's mean colour under a lamp at the eye."""
-    shown, which = np.unique(seen.which[seen.which >= 0], return_inverse=True)
-    corners = points_camera[mesh.faces[shown]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    middle = corners.mean(1)
-    lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(middle, axis=1)
-    facing = np.abs((normals * middle).sum(1)) / np.maximum(lengths, 1e-12)
-    colors = np.asarray(CLAY) if mesh.colors is None else mesh.colors[mesh.faces[shown]].mean(1)
-    shaded: np.ndarray = (colors * (AMBIENT + LIGHT * facing)[:, None])[which.ravel()]
-    return shaded
+    def picture(self, background: tuple[int, int, int] = (255, 255, 255), colors: Points | None = None) -> Picture:
+        """Return it in its own or in given colours (of vertices or points), a mesh shaded by a lamp at the eye."""
+        rgb = self._mesh(colors) if isinstance(self.surface, TriangleMesh) else self._cloud(colors)
+        image = np.empty((*self._is_covered.shape, 3), np.uint8)
+        image[:] = background
+        image[self._is_covered] = np.rint(255 * np.clip(rgb, 0, 1)).astype(np.uint8)[self._place.ravel()]
+        return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA))
+
+    def _cloud(self, colors: Points | None) -> Float[np.ndarray, "s 3"]:
+        own = self.surface.colors if colors is None else colors
+        return np.full((len(self.shown), 3), CLAY) if own is None else np.asarray(own[self.shown])
+
+    def _mesh(self, colors: Points | None) -> Float[np.ndarray, "s 3"]:
+        """Return each shown triangle's mean colour under the lamp."""
+        assert isinstance(self.surface, TriangleMesh), "called for meshes"
+        faces = self.surface.faces[self.shown]
+        corners = self._points[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        middle = corners.mean(1)
+        lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(middle, axis=1)
+        facing = np.abs((normals * middle).sum(1)) / np.maximum(lengths, 1e-12)
+        own = self.surface.colors if colors is None else colors
+        plain = np.asarray(CLAY) if own is None else own[faces].mean(1)
+        shaded: np.ndarray = plain * (AMBIENT + LIGHT * facing)[:, None]
+        return shaded
 
 
 def _directions(T_world_cameras: Float64[NDArray[np.float64], "m 4 4"]) -> tuple[np.ndarray, np.ndarray]:

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64, Int, UInt8
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from xrdslam.core.surface import PointCloud, TriangleMesh
 from xrdslam.evaluation.surface_files import read_mesh
 from xrdslam.pictures.clouds import read_cloud
-from xrdslam.pictures.outside import Outside, picture_of
+from xrdslam.pictures.outside import Drawing, Outside
 from xrdslam.pictures.palette import ERROR, coloured, hexadecimal
 from xrdslam.report.charts import number
 from xrdslam.report.renderings import data_uri
@@ -25,7 +25,7 @@ BACKGROUND = (238, 239, 241)
 TURNS_DEG = (-28.0, 32.0)
 WORST_CM = 5.0
 """The end of the colour scale, the same in every report."""
-SAMPLES = 400_000
+SAMPLES = 300_000
 Distances = Float64[NDArray[np.float64], " n"]
 
 
@@ -44,13 +44,14 @@ def surface_figure(run: RunFiles, true_mesh: Path | None) -> str:
         return '<p class="none">The method writes neither a mesh nor a cloud.</p>'
     if not len(points):
         return '<p class="none">The map has no surface.</p>'
-    views = [Outside.behind(points, run.final, turn, aspect=SIZE_PX[0] / SIZE_PX[1]) for turn in TURNS_DEG]
-    pictures = [("as mapped", size, surface, views[0])]
+    view, other = (Outside.behind(points, run.final, turn, aspect=SIZE_PX[0] / SIZE_PX[1]) for turn in TURNS_DEG)
+    drawing = Drawing(surface, view, SIZE_PX)
+    first = _figure("as mapped", size, drawing.picture(BACKGROUND))
     if true_mesh is not None and true_mesh.is_file() and isinstance(surface, TriangleMesh):
-        pictures.append(("distance to the true surface", _scale(), _by_distance(run, surface, true_mesh), views[0]))
-    else:
-        pictures.append(("from another side", "no true surface to compare with", surface, views[1]))
-    return "".join(_figure(*picture) for picture in pictures)
+        colors = _by_distance(run, surface, drawing.shown, read_mesh(true_mesh))
+        return first + _figure("distance to the true surface", _scale(), drawing.picture(BACKGROUND, colors))
+    aside = Drawing(surface, other, SIZE_PX).picture(BACKGROUND)
+    return first + _figure("from another side", "no true surface to compare with", aside)
 
 
 def distances_cm(
@@ -89,16 +90,20 @@ def _area(mesh: TriangleMesh) -> float:
     return float(np.linalg.norm(doubled, axis=1).sum() / 2)
 
 
-def _by_distance(run: RunFiles, mesh: TriangleMesh, true_mesh: Path) -> TriangleMesh:
+def _by_distance(
+    run: RunFiles, mesh: TriangleMesh, shown: Int[np.ndarray, " s"], truth: TriangleMesh
+) -> Float[np.ndarray, "v 3"]:
+    """Return colours of vertices: of those that belong to a shown triangle, the others are not asked for."""
     error = error_of(run)
-    vertices = mesh.vertices.astype(np.float64)
-    aligned = vertices if error is None else error.alignment.apply(vertices)
-    away = distances_cm(aligned, read_mesh(true_mesh))
-    return TriangleMesh(mesh.vertices, mesh.faces, coloured(away, ERROR, 0.0, WORST_CM).astype(np.float32) / 255)
+    asked = np.unique(mesh.faces[shown])
+    vertices = mesh.vertices[asked].astype(np.float64)
+    away = distances_cm(vertices if error is None else error.alignment.apply(vertices), truth)
+    colors = np.zeros((len(mesh.vertices), 3))
+    colors[asked] = coloured(away, ERROR, 0.0, WORST_CM) / 255
+    return colors
 
 
-def _figure(title: str, note: str, surface: TriangleMesh | PointCloud, view: Outside) -> str:
-    image = picture_of(surface, view, SIZE_PX, BACKGROUND)
+def _figure(title: str, note: str, image: UInt8[np.ndarray, "h w 3"]) -> str:
     _, data = cv2.imencode(".webp", image[..., ::-1].copy(), [cv2.IMWRITE_WEBP_QUALITY, 80])
     uri = data_uri(bytes(data.tobytes()))
     return (

@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 
 from xrdslam.core.errors import RunError
 from xrdslam.core.files import replaced
-from xrdslam.pictures.outside import picture_of
+from xrdslam.pictures.outside import Drawing
 from xrdslam.pictures.palette import ERROR, coloured
 from xrdslam.viewer.recorded import Recorded
 
@@ -58,7 +58,7 @@ class Film:
         self._view = recorded.view(width / height)
         self._still = np.empty((SIZE[1], SIZE[0], 3), np.uint8)
         self._still[:] = BACKGROUND
-        map_picture = picture_of(recorded.surface, self._view, self._size, BACKGROUND)
+        map_picture = Drawing(recorded.surface, self._view, self._size).picture(BACKGROUND)
         self._still[STRIP : STRIP + height, :width] = map_picture
         if recorded.truth is not None:
             _lines(self._still, self._pixels(recorded.truth), np.tile(TRUTH, (len(recorded.truth), 1)), 2)
