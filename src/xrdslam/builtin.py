@@ -52,6 +52,30 @@ def xrdslam_datasets() -> list[DatasetInfo]:
             "xrdslam.datasets.config:EurocConfig",
             "EuRoC's drone: grey images, mono or stereo, with IMU; no depth",
         ),
+        DatasetInfo(
+            "rgbd_folder",
+            "xrdslam.datasets.rgbd_folder:RgbdFolderDataset",
+            "xrdslam.datasets.config:RgbdFolderConfig",
+            "your own images, with depth and poses where there are any",
+        ),
+        DatasetInfo(
+            "transforms",
+            "xrdslam.datasets.transforms:TransformsDataset",
+            "xrdslam.datasets.config:TransformsConfig",
+            "a transforms.json of nerfstudio, NeRFCapture or Polycam",
+        ),
+        DatasetInfo(
+            "video",
+            "xrdslam.datasets.video:VideoDataset",
+            "xrdslam.datasets.config:VideoConfig",
+            "a video file, monocular",
+        ),
+        DatasetInfo(
+            "rosbag",
+            "xrdslam.datasets.rosbag:RosbagDataset",
+            "xrdslam.datasets.config:RosbagConfig",
+            "a ROS 1 bag or ROS 2 recording, such as a RealSense's (extra `rosbag`)",
+        ),
     ]
 
 

@@ -5,8 +5,10 @@
 
 import dataclasses
 import functools
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +16,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from xrdslam.core.dataset import Dataset
-from xrdslam.datasets.config import CoFusionConfig, EurocConfig, ScanNetConfig, TumRgbdConfig
+from xrdslam.datasets.config import (
+    CoFusionConfig,
+    EurocConfig,
+    RgbdFolderConfig,
+    RosbagConfig,
+    ScanNetConfig,
+    TransformsConfig,
+    TumRgbdConfig,
+    VideoConfig,
+)
 from xrdslam.testing.toy_sequence import toy_sequence
 
 COUNT = 5
@@ -259,8 +270,222 @@ class EurocLayout(Layout):
         return EurocDataset(EurocConfig(**{"path": str(self.folder), **knobs}))
 
 
+class RgbdFolderLayout(Layout):
+    family = "rgbd_folder"
+
+    def colour_path(self, i: int) -> Path:
+        return self.folder / "images" / f"view_{i}.png"
+
+    def depth_path(self, i: int) -> Path:
+        return self.folder / "depth" / f"d{i:03d}.png"
+
+    def write_rest(self) -> None:
+        (self.folder / "poses.txt").write_text("\n".join(numbers(toy.pose) for toy in toys()))
+        (self.folder / "K.txt").write_text(f"{FX} 0 {CX}\n0 {FY} {CY}\n0 0 1\n")
+
+    def open(self, **knobs: object) -> Dataset:
+        from xrdslam.datasets.rgbd_folder import RgbdFolderDataset
+
+        return RgbdFolderDataset(RgbdFolderConfig(**{"path": str(self.folder), **knobs}))
+
+
+class TransformsLayout(Layout):
+    family = "transforms"
+
+    def colour_path(self, i: int) -> Path:
+        return self.folder / "images" / f"{i}.png"
+
+    def depth_path(self, i: int) -> Path:
+        return self.folder / "depth" / f"{i}.png"
+
+    def values(self) -> dict[str, Any]:
+        """What transforms.json holds: OpenGL's axes, the first pixel's centre at (0.5, 0.5)."""
+        camera = {"fl_x": FX, "fl_y": FY, "cx": CX + 0.5, "cy": CY + 0.5, "w": WIDTH, "h": HEIGHT}
+        flip = np.diag([1.0, -1.0, -1.0, 1.0])
+        frames = [
+            {
+                "file_path": f"images/{i}.png",
+                "depth_file_path": f"depth/{i}.png",
+                "transform_matrix": (toy.pose @ flip).tolist(),
+            }
+            for i, toy in enumerate(toys())
+        ]
+        return {**camera, "frames": frames[::-1]}
+
+    def write_values(self, values: object) -> None:
+        (self.folder / "transforms.json").write_text(json.dumps(values))
+
+    def write_rest(self) -> None:
+        self.write_values(self.values())
+
+    def open(self, **knobs: object) -> Dataset:
+        from xrdslam.datasets.transforms import TransformsDataset
+
+        return TransformsDataset(TransformsConfig(**{"path": str(self.folder), **knobs}))
+
+
+class VideoLayout(Layout):
+    family = "video"
+    has_depth = False
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "clip.avi"
+
+    def colour_path(self, i: int) -> Path:
+        return self.file
+
+    def write(self) -> Layout:
+        writer = cv2.VideoWriter(str(self.file), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (WIDTH, HEIGHT))
+        for toy in toys():
+            writer.write(toy.rgb[..., ::-1].copy())
+        writer.release()
+        self.file.with_suffix(".txt").write_text(numbers(INTRINSICS))
+        return self
+
+    def open(self, **knobs: object) -> Dataset:
+        from xrdslam.datasets.video import VideoDataset
+
+        return VideoDataset(VideoConfig(**{"path": str(self.file), **knobs}))
+
+
+class RosbagLayout(Layout):
+    """A bag of one of three kinds; `depth_encoding` and `compressed` say how images are held."""
+
+    family = "rosbag"
+    kind = "ros1"
+    depth_encoding = "16UC1"
+    compressed = False
+    poses = "pose"
+
+    def time_ns(self, i: int) -> int:
+        return 1_700_000_000_000_000_123 + i * 33_333_000
+
+    @property
+    def path(self) -> Path:
+        return self.folder / ("clip.bag" if self.kind == "ros1" else "clip")
+
+    def write(self) -> Layout:
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+        from rosbags.typesys import Stores, get_typestore
+
+        is_ros1 = self.kind == "ros1"
+        self.store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+        plugin = StoragePlugin.MCAP if self.kind == "mcap" else StoragePlugin.SQLITE3
+        self.writer = Writer1(self.path) if is_ros1 else Writer2(self.path, version=9, storage_plugin=plugin)
+        self.connections: dict[str, Any] = {}
+        with self.writer:
+            self.write_static()
+            for i, toy in enumerate(toys()):
+                self.write_toy(i, toy)
+        return self
+
+    def write_static(self) -> None:
+        """Write what comes before the frames."""
+
+    def write_toy(self, i: int, toy: Toy) -> None:
+        time = self.time_ns(i)
+        rgb, depth = self.images(i, toy)
+        self.send("/camera/color/image_raw" + "/compressed" * self.compressed, time, rgb)
+        name = "/camera/aligned_depth_to_color/image_raw" + "/compressedDepth" * self.compressed
+        self.send(name, time + 4_000_000, depth)
+        self.send("/camera/color/camera_info", time, self.info())
+        if self.poses == "pose":
+            self.send("/mocap/camera", time, self.stamped_pose(time, toy.pose))
+        elif self.poses == "tf":
+            self.send("/tf", time, self.transforms(time, "map", "base", toy.pose @ np.linalg.inv(T_BODY_CAMERA)))
+
+    def images(self, i: int, toy: Toy) -> tuple[Any, Any]:
+        time = self.time_ns(i)
+        levels = np.round(toy.depth * 1000).astype(np.uint16)
+        if self.compressed:
+            png = [cv2.imencode(".png", image)[1].ravel() for image in (toy.rgb[..., ::-1], levels)]
+            depth_data = np.concatenate([np.zeros(12, np.uint8), png[1]])
+            make = self.store.types["sensor_msgs/msg/CompressedImage"]
+            return (
+                make(self.header(time), "rgb8; png compressed bgr8", png[0]),
+                make(self.header(time + 4_000_000), "16UC1; compressedDepth png", depth_data),
+            )
+        depth = toy.depth.astype(np.float32) if self.depth_encoding == "32FC1" else levels
+        return (
+            self.image(time, "bgr8", toy.rgb[..., ::-1]),
+            self.image(time + 4_000_000, self.depth_encoding, depth),
+        )
+
+    def image(self, time: int, encoding: str, pixels: np.ndarray, padding: int = 8) -> Any:
+        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
+        padded = np.pad(rows, ((0, 0), (0, padding)))
+        return self.store.types["sensor_msgs/msg/Image"](
+            self.header(time), len(pixels), pixels.shape[1], encoding, 0, padded.shape[1], padded.ravel()
+        )
+
+    def info(self) -> Any:
+        roi = self.store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        K = np.array([FX, 0, CX, 0, FY, CY, 0, 0, 1])
+        P = np.array([FX, 0, CX, 0, 0, FY, CY, 0, 0, 0, 1, 0])
+        make = self.store.types["sensor_msgs/msg/CameraInfo"]
+        header, R = self.header(self.time_ns(0)), np.eye(3).ravel()
+        return make(header, HEIGHT, WIDTH, "plumb_bob", np.zeros(5), K, R, P, 0, 0, roi)
+
+    def header(self, time: int, frame: str = "optical") -> Any:
+        stamp = self.store.types["builtin_interfaces/msg/Time"](time // 10**9, time % 10**9)
+        make = self.store.types["std_msgs/msg/Header"]
+        return make(0, stamp, frame) if self.kind == "ros1" else make(stamp, frame)
+
+    def stamped_pose(self, time: int, pose: np.ndarray) -> Any:
+        types = self.store.types
+        x, y, z = pose[:3, 3].tolist()
+        point = types["geometry_msgs/msg/Point"](x, y, z)
+        turn = types["geometry_msgs/msg/Quaternion"](*quat_xyzw(pose))
+        inner = types["geometry_msgs/msg/Pose"](point, turn)
+        return types["geometry_msgs/msg/PoseStamped"](self.header(time, "map"), inner)
+
+    def transforms(self, time: int, parent: str, child: str, pose: np.ndarray) -> Any:
+        types = self.store.types
+        x, y, z = pose[:3, 3].tolist()
+        move = types["geometry_msgs/msg/Vector3"](x, y, z)
+        turn = types["geometry_msgs/msg/Quaternion"](*quat_xyzw(pose))
+        inner = types["geometry_msgs/msg/Transform"](move, turn)
+        stamped = types["geometry_msgs/msg/TransformStamped"](self.header(time, parent), child, inner)
+        return types["tf2_msgs/msg/TFMessage"]([stamped])
+
+    def send(self, topic: str, time: int, message: Any) -> None:
+        kind = message.__msgtype__
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        serialize = self.store.serialize_ros1 if self.kind == "ros1" else self.store.serialize_cdr
+        self.writer.write(self.connections[topic], time + 1_000_000, serialize(message, kind))
+
+    def open(self, **knobs: object) -> Dataset:
+        from xrdslam.datasets.rosbag import RosbagDataset
+
+        return RosbagDataset(RosbagConfig(**{"path": str(self.path), **knobs}))
+
+
+class Ros2Layout(RosbagLayout):
+    family = "rosbag-db3"
+    kind = "db3"
+    depth_encoding = "32FC1"
+    poses = "tf"
+
+    def write_static(self) -> None:
+        self.send("/tf_static", self.time_ns(0), self.transforms(self.time_ns(0), "base", "optical", T_BODY_CAMERA))
+
+
+class McapLayout(RosbagLayout):
+    family = "rosbag-mcap"
+    kind = "mcap"
+    compressed = True
+
+
 LAYOUTS: dict[str, type[Layout]] = {
-    layout.family: layout for layout in (TumRgbdLayout, ScanNetLayout, CoFusionLayout, EurocLayout)
+    layout.family: layout
+    for layout in (
+        *(TumRgbdLayout, ScanNetLayout, CoFusionLayout, EurocLayout),
+        *(RgbdFolderLayout, TransformsLayout, VideoLayout, RosbagLayout, Ros2Layout, McapLayout),
+    )
 }
 
 

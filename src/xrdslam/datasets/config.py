@@ -9,10 +9,15 @@ __all__ = [
     "DatasetConfig",
     "EurocConfig",
     "FilesConfig",
+    "RecordingConfig",
     "ReplicaConfig",
+    "RgbdFolderConfig",
+    "RosbagConfig",
     "ScanNetConfig",
     "SevenScenesConfig",
+    "TransformsConfig",
     "TumRgbdConfig",
+    "VideoConfig",
 ]
 
 
@@ -154,3 +159,82 @@ class EurocConfig(DatasetConfig):
         require(both, "dataset.camera", self.camera, "be cam0 where dataset.stereo=true")
         offset = self.max_time_offset_s
         require(offset >= 0, "dataset.max_time_offset_s", offset, "not be negative")
+
+
+@dataclass
+class RecordingConfig(FilesConfig):
+    """A recording of one's own; `dataset.path` says where it lies."""
+
+    root: str = "."
+    fps: float = 30.0
+    """Frames a second, where nothing in the recording says when each was taken."""
+    max_time_offset_s: float = 0.02
+    """Colour, depth and poses that have times of their own belong together up to this far apart."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.fps > 0, "dataset.fps", self.fps, "be above 0 frames a second")
+        offset = self.max_time_offset_s
+        require(offset >= 0, "dataset.max_time_offset_s", offset, "not be negative")
+
+
+@dataclass
+class RgbdFolderConfig(RecordingConfig):
+    """A folder of images, with depth, poses and intrinsics in common forms."""
+
+    family: str = "rgbd_folder"
+    rgb: str | None = None
+    """The colour images inside the folder: a folder's name, or a pattern such as `*.color.jpg`; null looks for them."""
+    depth: str | None = None
+    """The depth images likewise; none leaves them out."""
+    poses: str | None = None
+    """A file or a folder of poses; null looks for one, none leaves them out."""
+    camera: str | None = None
+    """A file of intrinsics; null looks for one, and `dataset.intrinsics` goes before it."""
+    pose_direction: str = "camera_to_world"
+    """Or world_to_camera."""
+    pose_axes: str = "opencv"
+    """The camera's axes in the poses: opencv (x right, y down, z forward) or opengl (x right, y up, z backward)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_choice("dataset.pose_direction", self.pose_direction, ("camera_to_world", "world_to_camera"))
+        require_choice("dataset.pose_axes", self.pose_axes, ("opencv", "opengl"))
+
+
+@dataclass
+class TransformsConfig(RecordingConfig):
+    """A transforms.json of nerfstudio, NeRFCapture, Polycam or instant-ngp; `dataset.path` is it or its folder."""
+
+    family: str = "transforms"
+    pixel_centre: float = 0.5
+    """Where the file's pixel coordinates have the centre of the first pixel: 0.5 (this format's) or 0."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.pixel_centre in (0.0, 0.5), "dataset.pixel_centre", self.pixel_centre, "be 0 or 0.5")
+
+
+@dataclass
+class VideoConfig(RecordingConfig):
+    """A video file, monocular; its own frame rate goes before `fps`."""
+
+    family: str = "video"
+
+
+@dataclass
+class RosbagConfig(RecordingConfig):
+    """A ROS 1 bag, or a ROS 2 recording (db3 or MCAP)."""
+
+    family: str = "rosbag"
+    rgb_topic: str | None = None
+    """Images or compressed images; null takes the only one that can be meant."""
+    depth_topic: str | None = None
+    """Depth as 16UC1 [mm], 32FC1 [m] or compressedDepth; none leaves it out."""
+    info_topic: str | None = None
+    """The colour camera's CameraInfo; null takes the one beside the images."""
+    pose_topic: str | None = None
+    """Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; null takes the only one, tf where the
+    transforms lead from the camera to `fixed_frame`, none leaves poses out."""
+    fixed_frame: str | None = None
+    """The frame of tf that counts as the world; null takes the root of the camera's tree, where it moves."""

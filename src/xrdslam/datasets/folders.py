@@ -7,7 +7,7 @@ from pathlib import Path
 from xrdslam.core.errors import DataError
 from xrdslam.datasets.config import DatasetConfig
 
-__all__ = ["dataset_name", "inside", "scene_folder", "subfolders"]
+__all__ = ["dataset_name", "inside", "recording", "scene_folder", "subfolders"]
 
 
 def scene_folder(config: DatasetConfig, *aliases: str) -> Path:
@@ -35,6 +35,16 @@ def scene_folder(config: DatasetConfig, *aliases: str) -> Path:
     return folder
 
 
+def recording(config: DatasetConfig, what: str) -> Path:
+    """Return `dataset.path`, a file or a folder; a DataError says what it should be or what there is instead."""
+    if not config.path:
+        raise DataError(f"dataset={config.family}/{config.scene}: where is it? Set dataset.path=<{what}>")
+    path = Path(config.path).expanduser()
+    if not path.exists():
+        raise DataError(f"dataset.path={config.path}: no such file or folder{_nearby(path, folders_only=False)}")
+    return path
+
+
 def inside(folder: Path, name: str, source: str) -> Path:
     """Return the path of a file that a list names; one that leads out of the folder is refused, naming `source`."""
     if os.path.isabs(name) or os.path.normpath(name).split(os.sep)[0] == "..":
@@ -52,10 +62,10 @@ def subfolders(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
 
 
-def _nearby(folder: Path) -> str:
+def _nearby(folder: Path, folders_only: bool = True) -> str:
     """Say what there is beside a folder that is missing."""
     parent = next(p for p in folder.absolute().parents if p.is_dir())
-    names = subfolders(parent)
+    names = subfolders(parent) if folders_only else sorted(p.name for p in parent.iterdir() if p.name[0] != ".")[:20]
     near = difflib.get_close_matches(folder.name, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ";"
-    return f"{hint} In {parent} there is: {', '.join(names) if names else 'no folder at all'}."
+    return f"{hint} In {parent} there is: {', '.join(names) if names else 'nothing'}."

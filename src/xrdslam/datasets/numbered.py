@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 from xrdslam.core.errors import DataError
 from xrdslam.datasets.sequence import Record
 
-__all__ = ["NumberedParts", "numbered_files", "numbered_records"]
+__all__ = ["NumberedParts", "numbered_files", "numbered_records", "record_of"]
 
 
 class NumberedParts(NamedTuple):
@@ -43,22 +43,26 @@ def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
 def numbered_records(folder: Path, parts: NumberedParts, frames_per_second: float) -> list[Record]:
     """Return a record for each number that has a colour or a depth image, in rising order; time is counted by it."""
     numbers = sorted({*parts.colour, *parts.depth})
-    return [_record(folder, number, parts, round(number * 1e9 / frames_per_second)) for number in numbers]
+    return [record_of(folder, number, parts, round(number * 1e9 / frames_per_second)) for number in numbers]
 
 
-def _record(folder: Path, number: int, parts: NumberedParts, timestamp_ns: int) -> Record:
-    if number not in parts.colour or number not in parts.depth or number not in parts.pose:
-        return Record(timestamp_ns, parts.colour.get(number, folder), fault=_missing(folder, number, parts))
+def record_of(
+    folder: Path, number: int, parts: NumberedParts, timestamp_ns: int, optional: Collection[str] = ()
+) -> Record:
+    """Return one frame's record, its fault where it lacks a part whose label is not among the `optional` ones."""
+    having = dict(zip(parts.labels, parts[:3], strict=True))
+    if any(number not in part for label, part in having.items() if label not in optional):
+        return Record(timestamp_ns, parts.colour.get(number, folder), fault=_missing(folder, number, parts, optional))
     try:
-        pose = parts.pose[number]()
+        pose = parts.pose[number]() if number in parts.pose else None
     except DataError as error:
         return Record(timestamp_ns, parts.colour[number], fault=str(error))
-    return Record(timestamp_ns, parts.colour[number], parts.depth[number], pose)
+    return Record(timestamp_ns, parts.colour[number], parts.depth.get(number), pose)
 
 
-def _missing(folder: Path, number: int, parts: NumberedParts) -> str:
+def _missing(folder: Path, number: int, parts: NumberedParts, optional: Collection[str]) -> str:
     """Say which part a frame lacks, and how many there are of each."""
-    by_label = dict(zip(parts.labels, parts[:3], strict=True))
+    by_label = {label: part for label, part in zip(parts.labels, parts[:3], strict=True) if label not in optional}
     lacking = " and no ".join(label for label, having in by_label.items() if number not in having)
     counts = ", ".join(f"{len(having)} x {label}" for label, having in by_label.items())
     return (
