@@ -24,7 +24,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "engine": {"core", "ops", "datasets", "evaluation", "methods", "report"},
     "testing": {"core", "ops", "datasets", "evaluation", "methods", "engine", "pictures"},
     "builtin": {"core"},
-    "command_line": {"core", "evaluation", "engine"},
+    "command_line": {"core", "datasets", "evaluation", "engine"},
     "plugins": {"core", "command_line"},
     "__main__": {"command_line"},
     "hydra_plugins": {"core", "command_line"},
@@ -43,7 +43,9 @@ def module_of(path: Path) -> tuple[str, ...]:
 
 
 def part_of(module: tuple[str, ...]) -> str:
-    """`core` of xrdslam.core.camera; `algorithms` of a plugin."""
+    """`core` of xrdslam.core.camera; `algorithms` of a plugin; `__main__` of what only starts a command line."""
+    if module == ("xrdslam", "datasets", "__main__"):
+        return "__main__"
     return module[1] if module[0] == "xrdslam" else module[0]
 
 

@@ -93,7 +93,12 @@ def camera_info(message: Any, source: str, is_rectified: bool) -> Lens:  # noqa:
         )
     if min(K[0], K[4]) <= 0:
         raise DataError(f"{source}: fx {K[0]}, fy {K[4]}: the camera was not calibrated; set dataset.intrinsics=[...]")
-    return Lens((K[0], K[4], K[2], K[5]), distortion, source, (int(message.width), int(message.height)))
+    return Lens(
+        (float(K[0]), float(K[4]), float(K[2]), float(K[5])),
+        distortion,
+        source,
+        (int(message.width), int(message.height)),
+    )
 
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int, source: str) -> np.ndarray:  # noqa: ANN401

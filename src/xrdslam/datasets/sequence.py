@@ -124,7 +124,7 @@ class RgbdSequence(Dataset):
     def check(self) -> None:
         """Look at every file of the picked frames without decoding it; raise, or warn of what will be skipped."""
         super().check()
-        damaged = [fault for record in self.records if (fault := self._fault(record)) is not None]
+        damaged = [fault for index in range(len(self)) if (fault := self.fault_of(index)) is not None]
         found = [*self.faults, *damaged]
         if not found:
             return
@@ -134,6 +134,17 @@ class RgbdSequence(Dataset):
         if len(damaged) == len(self):
             raise DataError(f"dataset {self.name}: all {len(self)} frames are damaged, none is left; first: {report}")
         log.warning("%s: %d of %d frames will be skipped: %s", self.name, len(damaged), len(self), report)
+
+    def fault_of(self, index: int) -> str | None:
+        """Say what is wrong with a frame as far as can be seen without decoding it, or None."""
+        record = self.records[index]
+        if record.fault is not None:
+            return record.fault
+        try:
+            self.probe(record)
+        except DataError as error:
+            return str(error)
+        return None
 
     def probe(self, record: Record) -> None:
         """Raise a DataError for what the headers of a record's files give away."""
@@ -169,15 +180,6 @@ class RgbdSequence(Dataset):
                 f" {expected[0]}x{expected[1]} px; give the intrinsics of these images"
                 " (to work at another size, set dataset.size instead)"
             )
-
-    def _fault(self, record: Record) -> str | None:
-        if record.fault is not None:
-            return record.fault
-        try:
-            self.probe(record)
-        except DataError as error:
-            return str(error)
-        return None
 
 
 def _selected(records: Sequence[Record], frames: Sequence[int | None], name: str) -> list[Record]:
