@@ -110,8 +110,8 @@ class LiveViewer:
 
     def _cloud(self, run: Watched) -> PointCloud:
         """Return the map as points, else what keyframes measured."""
-        model = run.algorithm.model
-        if model.supports("point_cloud") and model.size:
+        model = getattr(run.algorithm, "model", None)
+        if model is not None and model.supports("point_cloud") and model.size:
             return thinned(model.point_cloud(), self.config.max_points)
         return thinned(keyframe_cloud(run.algorithm, self._kept), self.config.max_points)
 

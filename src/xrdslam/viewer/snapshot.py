@@ -61,8 +61,8 @@ def rendering_of(algorithm: Algorithm, frame: Frame, width: int) -> UInt8[np.nda
 
     The state of torch's random numbers is put back: a watched run gives the bits of an unwatched one.
     """
-    model, camera = algorithm.model, frame.camera
-    if not model.supports("render") or model.size == 0:
+    model, camera = getattr(algorithm, "model", None), frame.camera  # none before the first frame is in the map
+    if model is None or not model.supports("render") or model.size == 0:
         return None
     small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
     pose = algorithm.trajectory.pose(frame.index).to(frame.rgb)

@@ -1,5 +1,8 @@
 """The page: a scene and a column of pictures, served by viser on one port."""
 
+import contextlib
+import io
+import logging
 from typing import Any
 
 import numpy as np
@@ -28,8 +31,10 @@ class Stage:
             raise MissingExtraError(
                 "viewer=viser needs the package viser; pip install 'xrdslam[viewer]', or leave it out (viewer=none)"
             ) from error
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that goes away is no error of a run
         try:
-            self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+            with contextlib.redirect_stdout(io.StringIO()):  # we say where to look
+                self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
         except OSError as error:
             raise RunError(f"viewer.host={host} viewer.port={port}: no page can be served ({error})") from error
         self.url = f"http://{host}:{self.server.get_port()}"
@@ -101,7 +106,7 @@ class Stage:
                 axes_radius=0.004,
             )
 
-    def cloud(self, name: str, cloud: PointCloud, size_m: float = 0.012) -> Any:  # noqa: ANN401  # viser's handle
+    def cloud(self, name: str, cloud: PointCloud, size_m: float = 0.018) -> Any:  # noqa: ANN401  # viser's handle
         """Show points."""
         colors = np.full((len(cloud.points), 3), 0.6) if cloud.colors is None else cloud.colors
         return self.server.scene.add_point_cloud(

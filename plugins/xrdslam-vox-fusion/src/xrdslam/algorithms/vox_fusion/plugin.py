@@ -19,6 +19,7 @@ def xrdslam_algorithms() -> list[AlgorithmInfo]:
             mapping="vox_fusion",
             paper="Yang, Li, Zhai, Ming, Liu and Zhang, Vox-Fusion: Dense Tracking and Mapping with Voxel-based Neural"
             " Implicit Representation, ISMAR 2022",
+            published="xrdslam.algorithms.vox_fusion:published.yaml",
         )
     ]
 
