@@ -5,6 +5,7 @@ import logging
 import pickle
 import threading
 import time
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -228,3 +229,27 @@ def test_logging_names_the_skipped_file(caplog: pytest.LogCaptureFixture) -> Non
     with caplog.at_level(logging.WARNING):
         list(dataset.frames())
     assert "01: damaged" in caplog.text
+
+
+def test_frames_that_were_used_are_not_kept() -> None:
+    """However long the sequence: those read ahead, the one in use and the one that is being read are alive."""
+    alive: weakref.WeakSet[Frame] = weakref.WeakSet()
+    most = 0
+    for frame in prefetch(sequence(200).frames(), lookahead=2):
+        alive.add(frame)
+        most = max(most, sum(isinstance(kept, Frame) for kept in alive))
+        del frame
+    assert most <= 2  # of those handed out: this one, and the last until it is collected
+
+
+def test_images_are_moved_to_the_device_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    moved: list[int] = []
+    to = Frame.to
+
+    def counted(frame: Frame, *where: object) -> Frame:
+        moved.append(frame.index)
+        return to(frame, *where)
+
+    monkeypatch.setattr(Frame, "to", counted)
+    assert [frame.index for frame in prefetch(sequence(6).frames(), device="cpu")] == list(range(6))
+    assert moved == list(range(6))

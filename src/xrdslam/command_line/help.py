@@ -25,6 +25,7 @@ Common settings
   settings=<family>              published settings of another family than the dataset's
   seed=0  device=cpu  threads=0 (all)  run_dir=<folder>
 
+Your own data: `python -m xrdslam.datasets inspect <path>` says what it is and how to run it
 More: --hydra-help, `python -m xrdslam.plugins`, eval "$(xrdslam -sc install=bash)" for completion"""
 
 
