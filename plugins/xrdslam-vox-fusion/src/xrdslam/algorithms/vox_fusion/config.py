@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from xrdslam.core.config import AlgorithmConfig, IterativeMappingConfig, IterativeTrackingConfig, require
+from xrdslam.core.config import AlgorithmConfig, IterativeMappingConfig, IterativeTrackingConfig, require, require_choice
 
 __all__ = ["VoxFusionConfig", "VoxFusionMapConfig", "VoxFusionMappingConfig", "VoxFusionTrackingConfig"]
 
@@ -36,6 +36,9 @@ class VoxFusionMapConfig:
     weight_free_space: float = 10.0
     outlier_ratio: float = 10.0
     """In tracking, rays whose depth error over its deviation exceeds this many medians are left out."""
+    precision: str = "float32"
+    """Of the products of the decoder's wide layers on the CPU: float32, or bfloat16 where the processor has it (parameters
+    stay float32)."""
     lr_features: float = 5e-3
     lr_decoder: float = 5e-3
     mesh_resolution: int = 8
@@ -50,6 +53,7 @@ class VoxFusionMapConfig:
             require(getattr(self, name) >= 0, f"algo.map.{name}", getattr(self, name), "not be negative")
         least = self.min_color_weight
         require(0 <= least < 1, "algo.map.min_color_weight", least, "lie in [0, 1)")
+        require_choice("algo.map.precision", self.precision, ("float32", "bfloat16"))
         sound = self.mesh_resolution >= 8 and self.mesh_resolution % 8 == 0
         require(sound, "algo.map.mesh_resolution", self.mesh_resolution, "be a multiple of 8")
 

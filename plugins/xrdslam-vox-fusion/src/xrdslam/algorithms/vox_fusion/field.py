@@ -44,10 +44,14 @@ def voxel_field(
     weights: DecoderWeights,
     grid: SparseVoxels,
     wanted: Wanted,
+    precision: torch.dtype = torch.float32,
 ) -> FieldSamples:
-    """Evaluate the field at points in their voxels; differentiable in the points, the table and the weights."""
+    """Evaluate the field at points in their voxels; differentiable in the points, the table and the weights.
+
+    `precision` is that of the wide layers' products on the CPU; everything else, and every sum over samples, is float32.
+    """
     if takes(points_world, table):
-        return FieldSamples(*_VoxelField.apply(points_world, table, *weights, voxels, grid, wanted))  # type: ignore[no-untyped-call]  # torch
+        return FieldSamples(*_VoxelField.apply(points_world, table, *weights, voxels, grid, wanted, precision))  # type: ignore[no-untyped-call]  # torch
     return voxel_field_torch(points_world, voxels, table, weights, grid, wanted)
 
 
@@ -69,10 +73,11 @@ class VoxelField:
     grid: SparseVoxels
     table: Float[Tensor, "rows f"]
     weights: DecoderWeights
+    precision: torch.dtype = torch.float32
 
     def at(self, points_world: Float[Tensor, "n 3"], voxels: Int64[Tensor, " n"], wanted: Wanted) -> FieldSamples:
         """Evaluate at points in their voxels."""
-        return voxel_field(points_world, voxels, self.table, self.weights, self.grid, wanted)
+        return voxel_field(points_world, voxels, self.table, self.weights, self.grid, wanted, self.precision)
 
     def distance(self, points_world: Float[Tensor, "n 3"], voxels: Int64[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Return the signed distance alone [truncations], without a gradient."""
@@ -120,29 +125,30 @@ def _masked_(gradient: Tensor, activation: Tensor) -> Tensor:
 class _VoxelField(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, points: Tensor, table: Tensor, *rest: Any) -> tuple[Tensor, ...]:  # noqa: ANN401
-        *matrices, voxels, grid, wanted = rest
+        *matrices, voxels, grid, wanted, precision = rest
         w = DecoderWeights(*(m.detach() for m in matrices))
         count, width = len(points), len(w.second)
         features = torch.empty(count, table.shape[1])
         features_into(points, voxels, table, grid, features)
         firsts, seconds, parts = [], [], [points.new_zeros(0)]
+        middle, middle_bias = w.second.to(precision), w.second_bias.to(precision)
         for rows in torch.split(features, _CHUNK):
-            first = linear(rows, w.first, w.first_bias, relu=True)
-            second = linear(first, w.second, w.second_bias, relu=True)
-            parts.append(torch.mv(second, w.head[0]) + w.head_bias[0])
+            first = linear(rows, w.first, w.first_bias, relu=True).to(precision)
+            second = linear(first, middle, middle_bias, relu=True)
+            parts.append(torch.mv(second.float(), w.head[0]) + w.head_bias[0])
             firsts.append(first)
             seconds.append(second)
         sdf = torch.cat(parts)
         chosen = wanted(sdf).nonzero()[:, 0]
-        inputs = torch.empty(len(chosen), width + table.shape[1])
+        inputs = torch.empty(len(chosen), width + table.shape[1], dtype=precision)
         bounds = _chunk_bounds(chosen, count)
         for k, second in enumerate(seconds):
             part = slice(bounds[k], bounds[k + 1])
             inputs[part, :width] = second.index_select(0, chosen[part] - k * _CHUNK)
         inputs[:, width:] = features.index_select(0, chosen)
-        matrix, bias = _folded(w)
+        matrix, bias = (t.to(precision) for t in _folded(w))
         tints = [linear(rows, matrix, bias, relu=True) for rows in torch.split(inputs, _CHUNK)]
-        colors = [linear(tint, w.color, w.color_bias).sigmoid_() for tint in tints]
+        colors = [linear(tint.float(), w.color, w.color_bias).sigmoid_() for tint in tints]
         rgb = torch.cat([points.new_zeros(0, 3), *colors])
         ctx.save_for_backward(points, table, voxels, features, inputs, chosen, rgb, *matrices)
         ctx.chunks = firsts, seconds, tints
@@ -159,27 +165,27 @@ class _VoxelField(torch.autograd.Function):
         needs_weights, width = any(ctx.needs_input_grad[2:12]), len(w.second)
         d = DecoderWeights(*(torch.zeros_like(m) for m in w)) if needs_weights else None
         d_inputs = _color_backward(w, d, d_rgb * rgb * (1 - rgb), inputs, tints)
-        d_features = torch.empty_like(features)
+        d_features, middle = torch.empty_like(features), w.second.to(firsts[0].dtype)
         for k, (first, second) in enumerate(zip(firsts, seconds, strict=True)):
             rows = slice(k * _CHUNK, k * _CHUNK + len(first))
             part = slice(ctx.bounds[k], ctx.bounds[k + 1])
-            back = linear(d_sdf[rows, None], w.head[0, :, None])
+            back = torch.outer(d_sdf[rows], w.head[0])
             back.index_add_(0, chosen[part] - rows.start, d_inputs[part, :width])
-            d_second = _masked_(back, second)
-            d_first = _masked_(linear(d_second, w.second.mT), first)
-            d_features[rows] = linear(d_first, w.first.mT)
+            d_second = _masked_(back.to(second.dtype), second)
+            d_first = _masked_(linear(d_second, middle.mT), first)
+            d_features[rows] = linear(d_first, w.first.to(first.dtype).mT)
             if d is not None:
-                d.head[0].addmv_(second.mT, d_sdf[rows])
+                d.head[0].add_(torch.mv(second.mT, d_sdf[rows].to(second.dtype)))
                 d.second.add_(outer_sum(d_second, first))
-                d.second_bias.add_(d_second.sum(0))
-                d.first.add_(outer_sum(d_first, features[rows]))
-                d.first_bias.add_(d_first.sum(0))
+                d.second_bias.add_(d_second.sum(0, dtype=torch.float32))
+                d.first.add_(outer_sum(d_first, features[rows].to(first.dtype)))
+                d.first_bias.add_(d_first.sum(0, dtype=torch.float32))
         d_features.index_add_(0, chosen, d_inputs[:, width:])
         if d is not None:
             d.head_bias[0] = d_sdf.sum()
         needs_points, needs_table = ctx.needs_input_grad[:2]
         back_to = features_backward(points, voxels, table, ctx.grid, d_features, needs_points, needs_table)
-        return (*back_to, *(d if d is not None else [None] * len(w)), None, None, None)
+        return (*back_to, *(d if d is not None else [None] * len(w)), None, None, None, None)
 
 
 def _color_backward(
@@ -187,15 +193,16 @@ def _color_backward(
 ) -> Tensor:
     """Return the gradient of the colour branch's inputs, and add those of its weights to `d`."""
     matrix, bias = _folded(w)
-    d_inputs, d_matrix, d_bias = torch.empty_like(inputs), torch.zeros_like(matrix), torch.zeros_like(bias)
+    d_inputs, d_matrix, d_bias = torch.empty(inputs.shape), torch.zeros_like(matrix), torch.zeros_like(bias)
+    matrix = matrix.to(inputs.dtype)
     for k, tint in enumerate(tints):
         rows = slice(k * _CHUNK, k * _CHUNK + len(tint))
-        d_tint = _masked_(linear(d_raw[rows], w.color.mT), tint)
+        d_tint = _masked_(linear(d_raw[rows], w.color.mT).to(tint.dtype), tint)
         d_inputs[rows] = linear(d_tint, matrix.mT)
         if d is not None:
-            d.color.add_(outer_sum(d_raw[rows], tint))
+            d.color.add_(outer_sum(d_raw[rows], tint.float()))
             d_matrix.add_(outer_sum(d_tint, inputs[rows]))
-            d_bias.add_(d_tint.sum(0))
+            d_bias.add_(d_tint.sum(0, dtype=torch.float32))
     if d is not None:
         d.color_bias.copy_(d_raw.sum(0))
         d_tint_matrix, d_tint_bias = _pull_back_fold(w, d_matrix, d_bias, d.head, d.head_bias)

@@ -1,5 +1,6 @@
 """The map of Vox-Fusion: sparse voxels where something was measured, features on their corners, one decoder."""
 
+import logging
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -26,6 +27,8 @@ from xrdslam.ops.voxel_rays import RaySamples, points_along, sample_hits
 
 __all__ = ["VoxelMap"]
 
+log = logging.getLogger(__name__)
+
 
 class VoxelMap(Model):
     """Voxels never go; their corners' rows keep their places. Outside of voxels there is nothing: free space."""
@@ -42,6 +45,7 @@ class VoxelMap(Model):
         self.table = nn.Parameter(self._fresh(config.rows))
         self.grid = SparseVoxels(config.voxel_m)
         self.register_buffer("coords", torch.zeros(0, 3, dtype=torch.int32))
+        self.precision = _usable(config.precision)
 
     @property
     def size(self) -> int:
@@ -70,7 +74,7 @@ class VoxelMap(Model):
     @property
     def field(self) -> VoxelField:
         """What the voxels hold."""
-        return VoxelField(self.grid, self.table, self.decoder.weights)
+        return VoxelField(self.grid, self.table, self.decoder.weights, self.precision)
 
     def losses(self, batch: Batch, stage: Stage) -> dict[str, Tensor]:
         """Return the weighted losses of the rays that have a depth and pass a voxel; in tracking without outliers."""
@@ -158,3 +162,14 @@ class VoxelMap(Model):
     def _fresh(self, rows: int) -> Float[Tensor, "rows f"]:
         """Return new features: N(0, 0.01^2), as published."""
         return 0.01 * torch.randn(rows, self.config.features, generator=self.generator)
+
+
+def _usable(precision: str) -> torch.dtype:
+    """Return the precision of the wide layers: bfloat16 where it is asked for and the processor multiplies it."""
+    if precision == "float32":
+        return torch.float32
+    if torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported():
+        log.info("algo.map.precision=bfloat16: the decoder's wide layers are multiplied in bfloat16")
+        return torch.bfloat16
+    log.warning("algo.map.precision=bfloat16: this processor does not multiply bfloat16; float32 is used")
+    return torch.float32
