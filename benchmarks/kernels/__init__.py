@@ -3,6 +3,7 @@
 from benchmarks.kernels.hash_grid import hash_grids
 from benchmarks.kernels.splats import splats
 from benchmarks.kernels.ssim import ssim
+from benchmarks.kernels.voxels import voxels
 from benchmarks.metric import Metric
 
 __all__ = ["kernels"]
@@ -10,4 +11,4 @@ __all__ = ["kernels"]
 
 def kernels() -> list[Metric]:
     """Measure every kernel."""
-    return [*splats(), *ssim(), *hash_grids()]
+    return [*splats(), *ssim(), *hash_grids(), *voxels()]

@@ -78,3 +78,20 @@ def test_the_field_goes_on_across_voxels() -> None:
     sides = [voxel_field(points, torch.full((50,), v), table, weights, grid, torch.ones_like) for v in (0, 1)]
     torch.testing.assert_close(sides[0].sdf, sides[1].sdf, rtol=0, atol=1e-5)
     torch.testing.assert_close(sides[0].rgb, sides[1].rgb, rtol=0, atol=1e-5)
+
+
+def test_in_bfloat16_values_and_gradients_are_close() -> None:
+    """Eight bits of mantissa a product: a per cent of the largest value, and gradients that point the same way."""
+    inputs = TestVoxelField().inputs(torch.Generator().manual_seed(0), torch.float32)
+    points, voxels, table, *weights = inputs
+    found = []
+    for precision in (torch.float32, torch.bfloat16):
+        given = points, voxels, table, DecoderWeights(*weights), _grid(), _every_third, precision
+        sdf, rgb, _ = voxel_field(*given)
+        movable = (points, table, *weights)
+        found.append((sdf.detach(), rgb.detach(), *torch.autograd.grad(sdf.square().sum() + rgb.sum(), movable)))
+    assert float((found[0][0] - found[1][0]).abs().max()) < 0.01 * float(found[0][0].abs().max())
+    assert float((found[0][1] - found[1][1]).abs().max()) < 0.01
+    for exact, rounded in zip(*found, strict=True):
+        assert exact.dtype == rounded.dtype == torch.float32
+        assert float(torch.cosine_similarity(exact.flatten(), rounded.flatten(), 0)) > 0.999

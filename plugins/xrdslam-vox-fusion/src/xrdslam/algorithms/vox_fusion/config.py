@@ -3,7 +3,13 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from xrdslam.core.config import AlgorithmConfig, IterativeMappingConfig, IterativeTrackingConfig, require, require_choice
+from xrdslam.core.config import (
+    AlgorithmConfig,
+    IterativeMappingConfig,
+    IterativeTrackingConfig,
+    require,
+    require_choice,
+)
 
 __all__ = ["VoxFusionConfig", "VoxFusionMapConfig", "VoxFusionMappingConfig", "VoxFusionTrackingConfig"]
 
@@ -37,8 +43,8 @@ class VoxFusionMapConfig:
     outlier_ratio: float = 10.0
     """In tracking, rays whose depth error over its deviation exceeds this many medians are left out."""
     precision: str = "float32"
-    """Of the products of the decoder's wide layers on the CPU: float32, or bfloat16 where the processor has it (parameters
-    stay float32)."""
+    """Of the products of the decoder's wide layers on the CPU: float32, or bfloat16 where the processor has it.
+    Parameters and Adam stay float32."""
     lr_features: float = 5e-3
     lr_decoder: float = 5e-3
     mesh_resolution: int = 8

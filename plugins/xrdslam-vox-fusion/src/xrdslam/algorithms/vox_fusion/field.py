@@ -48,7 +48,7 @@ def voxel_field(
 ) -> FieldSamples:
     """Evaluate the field at points in their voxels; differentiable in the points, the table and the weights.
 
-    `precision` is that of the wide layers' products on the CPU; everything else, and every sum over samples, is float32.
+    `precision` is that of the wide layers' products on the CPU; what goes in and comes out is float32.
     """
     if takes(points_world, table):
         return FieldSamples(*_VoxelField.apply(points_world, table, *weights, voxels, grid, wanted, precision))  # type: ignore[no-untyped-call]  # torch
