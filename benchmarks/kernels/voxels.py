@@ -25,7 +25,7 @@ def voxels() -> list[Metric]:
             "kernel": (lambda: traverse(grid, origins, directions, far), 5),
         }
     )
-    metrics = [Metric("kernels/voxels/traversal_speedup", walk["twin"] / walk["kernel"], "x twin", "higher", 0.4)]
+    metrics = [Metric("kernels/voxels/traversal_speedup", walk["twin"] / walk["kernel"], "x twin", "higher", 0.6)]
     at = torch.randint(len(grid), (100_000,), generator=g).sort().values
     points = ((grid.coords[at] + torch.rand(len(at), 3, generator=g)) * grid.voxel_m).requires_grad_()
     table = torch.randn(grid.num_vertices, 16, generator=g).requires_grad_()
