@@ -1,5 +1,7 @@
 """Planes and spheres in closed form: weights, pictures without measured depth, meshes."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
@@ -8,8 +10,7 @@ from xrdslam.core.batch import RayBatch
 from xrdslam.core.camera import Camera
 from xrdslam.ops.ragged_rendering import ragged_sdf_weights, ragged_sums
 
-from .conftest import Ruled
-
+Ruled = Callable[[Callable[[torch.Tensor], torch.Tensor], torch.Tensor], VoxelMap]
 CAMERA = Camera(40.0, 40.0, 31.5, 23.5, 64, 48)
 
 
