@@ -58,7 +58,9 @@ def test_what_was_written_comes_back(written: Any, toy_frames: tuple[Any, ...]) 
         elif written.family == "euroc":
             np.testing.assert_allclose(frame.rgb[..., 0], toy.rgb[..., 1] / 255, rtol=0, atol=1e-6)
         else:  # JPEG inside
-            assert float(np.abs(frame.rgb.numpy() - toy.rgb / 255).mean()) < 6 / 255
+            error, swapped = (np.abs(frame.rgb.numpy() - rgb / 255).mean() for rgb in (toy.rgb, toy.rgb[..., ::-1]))
+            assert error < 10 / 255  # measured 7: colour at half the resolution
+            assert error < 0.5 * swapped
             continue
         np.testing.assert_allclose(frame.T_world_camera_gt, toy.pose, rtol=0, atol=1e-6)
 

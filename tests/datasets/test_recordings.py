@@ -1,6 +1,7 @@
 """One's own recordings in the forms that people have them: cameras, poses, names, clips, bags."""
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from xrdslam.core.camera import Camera
-from xrdslam.core.errors import DataError
+from xrdslam.core.errors import DataError, MissingExtraError
 from xrdslam.datasets.cameras import read_camera
 from xrdslam.datasets.naming import natural_key, number_or_time
 from xrdslam.datasets.registration import register_depth
@@ -344,3 +345,19 @@ def test_camera_files_say_where_they_are_wrong(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(DataError, match=r"K\.txt: "):
             read_camera(path)
+
+
+@pytest.mark.parametrize(
+    ("family", "module", "extra"), [("co_fusion", "OpenEXR", "exr"), ("rosbag", "rosbags", "rosbag")]
+)
+def test_a_missing_package_names_the_extra(
+    layouts: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, family: str, module: str, extra: str
+) -> None:
+    written = layouts[family](tmp_path / "scene")
+    written.folder.mkdir()
+    written.write()
+    for name in [name for name in sys.modules if name.split(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf"need the extra `{extra}`: pip install 'xrdslam\[{extra}\]'"):
+        written.open()[0]

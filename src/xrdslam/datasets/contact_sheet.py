@@ -79,7 +79,9 @@ def _draw_path(axes: Axes, dataset: Dataset, frames: dict[int, Frame]) -> None:
 def _draw_depths(axes: Axes, frames: list[Frame]) -> None:
     depths = [frame.depth[frame.depth > 0].numpy() for frame in frames if frame.depth is not None]
     axes.set_title("measured depths" if depths else "no depth", fontsize=9)
-    if depths:
+    if not depths:
+        axes.axis("off")
+    else:
         axes.hist(np.concatenate(depths), bins=80, density=True)
         axes.set(xlabel="depth [m]", yticks=[])
 
