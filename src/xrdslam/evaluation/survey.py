@@ -1,8 +1,7 @@
 """One pass over the frames that any figure needs: each is read once, rendered, compared, drawn, its depth kept.
 
-Rendering is left to one thread and may use all cores; frames are read ahead and compared in threads beside it, each of
-which computes on one core. So the numbers do not depend on how many there are, and no map needs to be safe against two
-threads at once.
+Rendering is left to one thread; frames are read ahead, compared and drawn in threads beside it, each by one of them. So
+the numbers do not depend on how these are spread, and no map needs to be safe against two threads at once.
 """
 
 import csv
@@ -12,7 +11,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +74,7 @@ class Survey:
         """Visit the frames; an error of the renderer ends the comparisons and not the pass."""
         rendered = set() if render is None else {index for index in self._compared() if self._pose(index) is not None}
         seen = set(self._depth_poses()) if wants_depth else set()
-        with _workers() as pool:
+        with ThreadPoolExecutor(torch.get_num_threads(), "evaluation") as pool:
             pending: deque[Future[tuple[str, Comparison]]] = deque()
             for frame in picked(frames, sorted(rendered | seen), pool):
                 if frame.index in seen and frame.depth is not None:
@@ -164,18 +162,6 @@ class Survey:
             for index, row in rows.items()
             if index % self.config.cull_every == 0 and np.isfinite(truth[row]).all()  # type: ignore[index]
         }
-
-
-@contextmanager
-def _workers() -> Iterator[ThreadPoolExecutor]:
-    """Offer as many threads as torch may use cores, each of which computes on one."""
-    count = torch.get_num_threads()
-    pool = ThreadPoolExecutor(count, "evaluation", initializer=torch.set_num_threads, initargs=(1,))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        torch.set_num_threads(count)  # a worker's number is also the one that threads to come begin with
 
 
 def picked(frames: Frames, indices: Sequence[int], pool: ThreadPoolExecutor | None = None) -> Iterator[EvaluatedFrame]:
