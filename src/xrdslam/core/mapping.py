@@ -155,10 +155,11 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
         return built.joined(GroupedOptimiser(self.pose_groups(problem)))
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return what a resumed run needs, kept moments among it."""
-        if self._optimiser is None or not self.config.keep_optimiser:
-            return super().state_dict()
-        return super().state_dict() | {f"optimiser.{k}": v for k, v in self._optimiser.state_dict().items()}
+        """Return what a resumed run needs, kept moments among it (those that still wait for their map as well)."""
+        moments = self._saved_moments
+        if self._optimiser is not None and self.config.keep_optimiser:
+            moments = self._optimiser.state_dict()
+        return super().state_dict() | {f"optimiser.{k}": v for k, v in moments.items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Take over what `state_dict` returned; the moments wait for the map that they belong to."""

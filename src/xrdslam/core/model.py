@@ -1,12 +1,13 @@
 """The map of a method."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.modules.module import _IncompatibleKeys
 
 from xrdslam.core.batch import Batch, BatchKind, Stage
 from xrdslam.core.camera import Camera
@@ -79,6 +80,19 @@ class Model(nn.Module, ABC):
         """Write the method's own file formats (3DGS splats, a voxel file) into `folder`; return what was written."""
         return []
 
+    def load_state_dict(
+        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
+    ) -> _IncompatibleKeys:
+        """Take over a saved map into an empty one: parameters and buffers get the number of rows that they have there.
+
+        Only the first dimension may differ; a map that grows in another one sets its sizes before it calls this. State
+        beside tensors that are registered goes through `get_extra_state` and `set_extra_state`, as a tensor.
+        """
+        for prefix, module in self.named_modules():
+            _take_rows(module, f"{prefix}." if prefix else "", state_dict)
+        found: _IncompatibleKeys = super().load_state_dict(state_dict, strict, assign)
+        return found
+
     @classmethod
     def supports(cls, capability: str) -> bool:
         """Say whether this class brings its own `losses`, `render`, `mesh` or `point_cloud`."""
@@ -86,3 +100,14 @@ class Model(nn.Module, ABC):
 
     def _cannot(self, capability: str) -> PluginError:
         return PluginError(f"the map {type(self).__name__} has no {capability!r}; choose a method that does without")
+
+
+def _take_rows(module: nn.Module, prefix: str, state: Mapping[str, Any]) -> None:
+    """Give a module's own parameters and buffers as many rows as the state has for them."""
+    for name, held in [*module.named_parameters(recurse=False), *module.named_buffers(recurse=False)]:
+        saved = state.get(prefix + name)
+        if not isinstance(saved, Tensor) or saved.ndim != held.ndim or saved.shape == held.shape:
+            continue
+        if saved.shape[1:] == held.shape[1:]:
+            rows = held.new_empty(saved.shape)
+            setattr(module, name, nn.Parameter(rows, held.requires_grad) if isinstance(held, nn.Parameter) else rows)

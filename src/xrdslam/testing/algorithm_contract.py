@@ -29,6 +29,9 @@ from xrdslam.testing.toy_sequence import toy_sequence
 __all__ = ["AlgorithmContract"]
 
 
+_LACKS = "state_dict() lacks something, or draws are global"
+
+
 @dataclass
 class _Run:
     """What a run left behind."""
@@ -36,7 +39,8 @@ class _Run:
     algorithm: Algorithm
     changed: dict[int, list[str]] = field(default_factory=dict)
     """Frame index -> which of its images were written to."""
-    checkpoint: dict[str, Any] = field(default_factory=dict)
+    checkpoints: list[dict[str, Any]] = field(default_factory=list)
+    """The state after each frame, as it comes back from a file."""
 
 
 class AlgorithmContract:
@@ -54,8 +58,6 @@ class AlgorithmContract:
     settings: ClassVar[dict[str, Any]] = {}
     seed: ClassVar[int] = 0
     accuracy: ClassVar[float | None] = None
-    checkpoint_after: ClassVar[int] = 2
-    """The position of the frame after which a run is saved and taken up again."""
     _reference: ClassVar[_Run | None] = None
 
     def __init_subclass__(cls, **kwargs: object) -> None:
@@ -125,11 +127,25 @@ class AlgorithmContract:
         assert not changed, f"images that were written to, by frame: {changed}; copy before changing"
 
     def test_a_resumed_run_gives_the_same_bits(self) -> None:
-        """State goes through a file; whatever is not in it (a global random stream too) is another one afterwards."""
+        """Each frame is carried out by a new process's algorithm, so to speak, that knows only what was saved.
+
+        State goes through a file; whatever is not in it (a global random stream too) is another one afterwards.
+        """
         reference = self._run_once()
-        resumed = self._resume(reference.checkpoint)
+        frames = list(self.make_sequence().frames())
+        for position, saved in enumerate(reference.checkpoints[:-1]):
+            resumed = self._resume(saved)
+            lost = different_leaves(saved, resumed.state_dict())
+            assert not lost, f"load_state_dict() does not take over {lost}: a run resumed twice would lack it"
+            resumed.track(frames[position + 1])
+            resumed.map(frames[position + 1])
+            expected = reference.checkpoints[position + 1]
+            changed = different_leaves(expected, resumed.state_dict())
+            assert not changed, f"resumed before frame {position + 1}, {changed} differ after it: {_LACKS}"
+        resumed = self._resume(reference.checkpoints[-1])
+        resumed.finish()
         changed = different_leaves(reference.algorithm.state_dict(), resumed.state_dict())
-        assert not changed, f"the resumed run differs in {changed}: state_dict() lacks something, or draws are global"
+        assert not changed, f"resumed before finish(), {changed} differ after it: {_LACKS}"
 
     def test_a_frame_without_depth_costs_no_run(self) -> None:
         self._survives(without_depth)
@@ -200,23 +216,19 @@ class AlgorithmContract:
             algorithm.map(frame)
             if changed := different_leaves(before, frame_images(frame)):
                 kept.changed[frame.index] = changed
-            if position == self.checkpoint_after:
-                kept.checkpoint = through_a_file(algorithm.state_dict())
+            if spoil is None and stop is None:
+                kept.checkpoints.append(through_a_file(algorithm.state_dict()))
         algorithm.finish()
         return kept
 
     def _resume(self, checkpoint: dict[str, Any]) -> Algorithm:
+        """Return an algorithm that takes over a checkpoint as the engine has it do."""
         dataset = self.make_sequence()
-        frames = list(dataset.frames())
         algorithm = self._fresh()
-        algorithm.start(Scene.of(dataset), frames[0])
+        algorithm.start(Scene.of(dataset), next(dataset.frames()))
         kept = checkpoint["keyframes"]["indices"].tolist()
         algorithm.load_state_dict(checkpoint, [frame for frame in dataset.frames() if frame.index in kept])
         _seed_everything(self.seed + 1)
-        for frame in frames[self.checkpoint_after + 1 :]:
-            algorithm.track(frame)
-            algorithm.map(frame)
-        algorithm.finish()
         return algorithm
 
     def _fresh(self) -> Algorithm:

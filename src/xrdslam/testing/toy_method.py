@@ -1,12 +1,10 @@
 """A complete method in a hundred lines, for tests of what surrounds methods: its map can equal the toy room exactly."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.modules.module import _IncompatibleKeys
 
 from xrdslam.core.algorithm import Algorithm, Scene
 from xrdslam.core.batch import Batch, BatchKind, ImageBatch, Stage
@@ -87,14 +85,6 @@ class ToyModel(Model):
         images = (rgb, torch.where(seen, t, 0.0)[:, None], seen.to(t)[:, None])
         rgb, depth, opacity = (image.reshape(camera.height, camera.width, -1) for image in images)
         return Rendering(rgb, depth[..., 0], opacity[..., 0])
-
-    def load_state_dict(
-        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
-    ) -> _IncompatibleKeys:
-        """Take the number of primitives from the state."""
-        self.amplitudes = nn.Parameter(torch.zeros_like(state_dict["amplitudes"]))
-        keys: _IncompatibleKeys = super().load_state_dict(state_dict, strict, assign)
-        return keys
 
 
 class ToyRayModel(ToyModel):

@@ -75,9 +75,3 @@ class PointMap(Model):
     def point_cloud(self) -> PointCloud:
         """Return the points."""
         return PointCloud(self.points.cpu().numpy(), self.colors.cpu().numpy())
-
-    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *args: object) -> None:
-        """Take the size from the state: the map that is loaded into may be empty."""
-        self.points = torch.empty_like(state_dict[prefix + "points"])
-        self.colors = torch.empty_like(state_dict[prefix + "colors"])
-        super()._load_from_state_dict(state_dict, prefix, *args)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -175,9 +174,10 @@ class GaussianMap(Model):
         write_splats(path, self.means, self.log_scales, self.opacity_logits, self.colors, self.quats_wxyz)
         return [path]
 
-    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *args: Any) -> None:  # noqa: ANN401
-        """Take the sizes from the state: the map that is loaded into may be empty."""
-        for name in PARAMETERS:
-            self._replace(name, torch.empty_like(state_dict[prefix + name]))
-        self.birth = torch.empty_like(state_dict[prefix + "birth"])
-        super()._load_from_state_dict(state_dict, prefix, *args)
+    def get_extra_state(self) -> Tensor:
+        """Return how many rows came since the last sorting: a resumed run sorts when this one would."""
+        return torch.tensor(self._num_unsorted)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Take over what `get_extra_state` returned."""
+        self._num_unsorted = int(state)
