@@ -13,6 +13,7 @@ from xrdslam.core.batch import Batch, Stage
 from xrdslam.core.camera import Camera
 from xrdslam.core.config import AlgorithmConfig
 from xrdslam.core.dataset import Dataset
+from xrdslam.core.errors import PluginError
 from xrdslam.core.frame import Frame
 from xrdslam.core.mapping import MappingResult
 from xrdslam.core.model import Model, Rendering
@@ -47,6 +48,40 @@ class ForgetsItsState(ToyAlgorithm):
         predicted = super().predict(frame).clone()
         predicted[0, 3] += 1e-3 * self.seen
         return predicted
+
+
+class ForgetsWhatItsMapCounts(ToyAlgorithm):
+    """The map paints a shade at every third frame, by a count that is not in its state_dict()."""
+
+    class model_class(ToyModel):
+        frames = 0
+
+        def extend(self, frame: Frame, T_world_camera: Tensor) -> int:
+            self.frames += 1
+            added = super().extend(frame, T_world_camera)
+            with torch.no_grad():
+                self.amplitudes.add_(0.01 if self.frames % 3 == 0 else 0.0)
+            return added
+
+
+class SavesWhatItDoesNotLoad(ToyAlgorithm):
+    """A count that is saved, and begins at 0 after loading: resumed twice, it is gone."""
+
+    seen = 0
+
+    def track(self, frame: Frame) -> TrackingResult:
+        self.seen += 1
+        return super().track(frame)
+
+    def state_dict(self) -> dict[str, dict[str, Tensor]]:
+        return {**super().state_dict(), "seen": {"count": torch.tensor(self.seen)}}
+
+
+class SavesCode(ToyAlgorithm):
+    """An object that only pickle could save."""
+
+    def state_dict(self) -> dict[str, dict[str, Any]]:
+        return {**super().state_dict(), "config": {"tracking": self.tracking.config}}
 
 
 class DrawsFromTheGlobalStream(ToyAlgorithm):
@@ -106,6 +141,7 @@ def broken_algorithm(algorithm_class: type[ToyAlgorithm]) -> AlgorithmContract:
         def make_algorithm(self) -> Algorithm:
             algorithm = toy_algorithm(self.seed)
             algorithm.__class__ = algorithm_class
+            algorithm.model_class = algorithm_class.model_class
             if algorithm_class is NeedsNothing:
                 algorithm.config.__class__ = TakesAnySetting
             return algorithm
@@ -122,6 +158,8 @@ def broken_algorithm(algorithm_class: type[ToyAlgorithm]) -> AlgorithmContract:
         (ToyAlgorithm, "test_follows_the_camera"),  # a tenth of a millimetre was promised, centimetres are delivered
         (WritesToImages, "test_frames_are_not_written_to"),
         (ForgetsItsState, "test_a_resumed_run_gives_the_same_bits"),
+        (ForgetsWhatItsMapCounts, "test_a_resumed_run_gives_the_same_bits"),
+        (SavesWhatItDoesNotLoad, "test_a_resumed_run_gives_the_same_bits"),
         (DrawsFromTheGlobalStream, "test_a_resumed_run_gives_the_same_bits"),
         (IsNotRepeatable, "test_the_same_seed_gives_the_same_bits"),
         (SaysNan, "test_every_pose_is_finite_and_rigid"),
@@ -133,6 +171,11 @@ def broken_algorithm(algorithm_class: type[ToyAlgorithm]) -> AlgorithmContract:
 def test_a_broken_algorithm_is_caught(algorithm_class: type[ToyAlgorithm], test: str) -> None:
     with pytest.raises(AssertionError):
         getattr(broken_algorithm(algorithm_class), test)()
+
+
+def test_an_algorithm_whose_state_is_code_is_caught() -> None:
+    with pytest.raises(PluginError, match=r"config/tracking.*only tensors"):
+        broken_algorithm(SavesCode).test_every_pose_is_finite_and_rigid()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ xrdslam: dense and learned visual SLAM
   python -m xrdslam algo=<name> dataset=<family>/<scene> [setting=value ...]
   python -m xrdslam -m algo=<name>,<name> dataset=... seed=0,1,2       one run per combination
   python -m xrdslam algo=<name> dataset=... --cfg job                  every setting and its value, nothing is run
+  python -m xrdslam resume=<run dir>                                   go on with a run that did not end
 """
 SETTINGS = """\
 Common settings

@@ -191,25 +191,32 @@ class Algorithm(ABC):
 
     def state_dict(self) -> dict[str, dict[str, Tensor]]:
         """Return everything that a resumed run needs, keyframe images excepted (the dataset has them)."""
+        return {
+            **self.results_state(),
+            "model": dict(self.model.state_dict()),
+            "tracking": self.tracking.state_dict(),
+            "mapping": self.mapping.state_dict(),
+        }
+
+    def results_state(self) -> dict[str, dict[str, Tensor]]:
+        """Return where the frames and the keyframes are."""
         keyframes = {
             "indices": torch.tensor([keyframe.index for keyframe in self.keyframes], dtype=torch.int64),
             "rotations": _stacked([keyframe.pose.rotation for keyframe in self.keyframes]),
             "translations": _stacked([keyframe.pose.translation for keyframe in self.keyframes]),
         }
-        return {
-            "trajectory": self.trajectory.state_dict(),
-            "model": dict(self.model.state_dict()),
-            "tracking": self.tracking.state_dict(),
-            "mapping": self.mapping.state_dict(),
-            "keyframes": keyframes,
-        }
+        return {"trajectory": self.trajectory.state_dict(), "keyframes": keyframes}
 
     def load_state_dict(self, state: dict[str, dict[str, Tensor]], keyframes: Iterable[Frame]) -> None:
         """Take over what `state_dict` returned; `keyframes` are the frames of `state["keyframes"]["indices"]`."""
-        self.trajectory.load_state_dict(state["trajectory"])
-        self.model.load_state_dict(state["model"])
+        self.load_results(state, keyframes)
         self.tracking.load_state_dict(state["tracking"])
         self.mapping.load_state_dict(state["mapping"])
+
+    def load_results(self, state: dict[str, dict[str, Tensor]], keyframes: Iterable[Frame]) -> None:
+        """Take over the map, the trajectory and the keyframes alone: enough to look at them, not to go on."""
+        self.trajectory.load_state_dict(state["trajectory"])
+        self.model.load_state_dict(state["model"])
         self.keyframes = list(keyframes)
         kept = state["keyframes"]
         for keyframe, *pose in zip(self.keyframes, kept["rotations"], kept["translations"], strict=True):

@@ -156,6 +156,11 @@ class EngineConfig:
     name: str = "sequential"
     progress: bool = True
     """Show frames/s and what remains: a bar on a terminal, a line now and then elsewhere."""
+    checkpoint_every: int = 50
+    """Save everything after so many frames, for `resume=<run dir>`; 0 saves only when a run is told to end or fails."""
+
+    def __post_init__(self) -> None:
+        require(self.checkpoint_every >= 0, "engine.checkpoint_every", self.checkpoint_every, "not be negative")
 
 
 @dataclass

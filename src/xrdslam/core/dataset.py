@@ -69,10 +69,10 @@ class Dataset(torch.utils.data.Dataset[Frame], ABC):
         """The corners (min, max) of the scene [m] where the data states them; else algorithms look in the depth."""
         return None
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield every frame in order, following `on_error`."""
+    def frames(self, start: int = 0) -> Iterator[Frame]:
+        """Yield every frame in order, from the one at `start` on, following `on_error`."""
         self.num_skipped = 0
-        for index in range(len(self)):
+        for index in range(start, len(self)):
             try:
                 frame = self[index]
             except DataError as error:

@@ -28,6 +28,12 @@ class Run:
     device: str
     profile: Profile = field(default_factory=Profile)
     ground_truth: dict[int, Tensor] = field(default_factory=dict)
+    next_frame: int = 0
+    """The dataset's frame to go on with: the first one, or the one after a checkpoint's."""
+    resumed_after: list[int] = field(default_factory=list)
+    """The frames after which the run was taken up again."""
+    has_ended: bool = False
+    """Whether every frame has passed."""
 
     @property
     def scene(self) -> Scene:

@@ -41,6 +41,21 @@ class RunDirectory:
         return self.path / "map"
 
     @property
+    def map_state(self) -> Path:
+        """The map's own state, for `load_run` and for other programs."""
+        return self.map / "map.safetensors"
+
+    @property
+    def trajectory_state(self) -> Path:
+        """Trajectory, keyframe poses and costs, to the bit."""
+        return self.path / "trajectory" / "trajectory.safetensors"
+
+    def clear(self) -> None:
+        """Remove the results of an earlier run: where this one fails they would be mistaken for its own."""
+        for path in (self.map_state, self.trajectory_state, self.path / "metrics.json", self.path / "timing.csv"):
+            path.unlink(missing_ok=True)
+
+    @property
     def renders(self) -> Path:
         """Where pictures go."""
         return self.path / "renders"

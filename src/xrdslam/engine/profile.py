@@ -6,9 +6,10 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import torch
 
@@ -61,25 +62,60 @@ class Profile:
     finish_cpu_s: float = 0.0
     peak_rss_mib: float = 0.0
     peak_cuda_mib: float = 0.0
+    earlier_peak_rss_mib: float = 0.0
+    """The peak of the processes that carried the run out before it was resumed."""
+    earlier_peak_cuda_mib: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._since: tuple[float, float] | None = None
 
     @contextmanager
     def running(self) -> Iterator[None]:
         """Count what happens inside as the run."""
         if torch.cuda.is_available():
             torch.cuda.reset_peak_memory_stats()
-        wall, cpu = time.perf_counter(), time.process_time()
+        self._since = time.perf_counter(), time.process_time()
         try:
             yield
         finally:
-            self.wall_s += time.perf_counter() - wall
-            cuda = torch.cuda.max_memory_allocated() / 2**20 if torch.cuda.is_available() else 0.0
-            self.add_process(time.process_time() - cpu, peak_rss_mib(), cuda)
+            self._stop()
+            self.add_process(0.0, peak_rss_mib(), peak_cuda_mib())
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Do not count what happens inside; the sums hold everything up to here meanwhile."""
+        is_running = self._since is not None
+        self._stop()
+        try:
+            yield
+        finally:
+            self._since = (time.perf_counter(), time.process_time()) if is_running else None
+
+    def _stop(self) -> None:
+        if self._since is not None:
+            self.wall_s += time.perf_counter() - self._since[0]
+            self.cpu_s += time.process_time() - self._since[1]
+        self._since = None
 
     def add_process(self, cpu_s: float, peak_rss_mib: float, peak_cuda_mib: float = 0.0) -> None:
         """Add what one process of the run cost."""
         self.cpu_s += cpu_s
         self.peak_rss_mib += peak_rss_mib
         self.peak_cuda_mib += peak_cuda_mib
+
+    def state(self) -> dict[str, Any]:
+        """Return everything as plain data, for checkpoints; peaks up to here count as those of earlier processes."""
+        rss, cuda = (self.peak_rss_mib or peak_rss_mib()), (self.peak_cuda_mib or peak_cuda_mib())
+        earlier = {
+            "earlier_peak_rss_mib": max(self.earlier_peak_rss_mib, rss),
+            "earlier_peak_cuda_mib": max(self.earlier_peak_cuda_mib, cuda),
+        }
+        return asdict(self) | earlier | {"peak_rss_mib": 0.0, "peak_cuda_mib": 0.0}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what `state` returned."""
+        for key, value in state.items():
+            setattr(self, key, [FrameCost(**row) for row in value] if key == "frames" else value)
 
     @contextmanager
     def stage(self, cost: FrameCost, name: str) -> Iterator[None]:
@@ -131,9 +167,10 @@ class Profile:
             "mapping_ms_per_iteration": _per_iteration(mapped, "mapping"),
             "map_size": float(self.frames[-1].map_size) if self.frames else 0.0,
             "keyframes": float(sum(f.is_keyframe for f in self.frames)),
-            "peak_rss_mib": self.peak_rss_mib,
+            "peak_rss_mib": max(self.earlier_peak_rss_mib, self.peak_rss_mib),
         }
-        return figures | ({"peak_cuda_mib": self.peak_cuda_mib} if torch.cuda.is_available() else {})
+        cuda = max(self.earlier_peak_cuda_mib, self.peak_cuda_mib)
+        return figures | ({"peak_cuda_mib": cuda} if torch.cuda.is_available() else {})
 
     def csv(self) -> str:
         """Return `timing.csv`: a row a frame."""
@@ -157,6 +194,11 @@ def peak_rss_mib() -> float:
     except (OSError, StopIteration):
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
+
+
+def peak_cuda_mib() -> float:
+    """Return the largest memory of CUDA tensors since the run began [MiB]."""
+    return torch.cuda.max_memory_allocated() / 2**20 if torch.cuda.is_available() else 0.0
 
 
 def rss_mib() -> float:

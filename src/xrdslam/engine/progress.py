@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -17,7 +18,8 @@ LINE_EVERY_S = 10.0
 class ProgressReport:
     """Frames done, frames/s, what remains, ms by stage, keyframes, lost frames, memory."""
 
-    def __init__(self, title: str, total: int, shown: bool = True) -> None:
+    def __init__(self, title: str, total: int, shown: bool = True, earlier: Sequence[FrameCost] = ()) -> None:
+        """Begin; `earlier` are the frames that a run did before it was resumed."""
         self.total = total
         self.shown = shown
         self.title = title
@@ -25,6 +27,9 @@ class ProgressReport:
         self._start = time.perf_counter()
         self._last_line = self._start
         self._counts = {"frames": 0, "keyframes": 0, "lost": 0}
+        for cost in earlier:
+            self._count(cost)
+        self._earlier = len(earlier)
         self._bar: Progress | None = None
 
     def __enter__(self) -> "ProgressReport":
@@ -33,7 +38,7 @@ class ProgressReport:
             columns += (TimeRemainingColumn(), TextColumn("{task.fields[status]}"))  # type: ignore[assignment]
             self._bar = Progress(*columns, console=self.console, refresh_per_second=4)
             self._bar.start()
-            self._task = self._bar.add_task(self.title, total=self.total, status="")
+            self._task = self._bar.add_task(self.title, total=self.total, completed=self._earlier, status="")
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -42,9 +47,7 @@ class ProgressReport:
 
     def update(self, cost: FrameCost) -> None:
         """Take in a finished frame."""
-        self._counts["frames"] += 1
-        self._counts["keyframes"] += cost.is_keyframe
-        self._counts["lost"] += cost.is_lost
+        self._count(cost)
         if not self.shown:
             return
         if self._bar is not None:
@@ -56,8 +59,13 @@ class ProgressReport:
             sys.stderr.write(f"{line}, {remaining:.0f} s remain\n")
             sys.stderr.flush()
 
+    def _count(self, cost: FrameCost) -> None:
+        self._counts["frames"] += 1
+        self._counts["keyframes"] += cost.is_keyframe
+        self._counts["lost"] += cost.is_lost
+
     def _rate(self) -> float:
-        return self._counts["frames"] / max(1e-9, time.perf_counter() - self._start)
+        return (self._counts["frames"] - self._earlier) / max(1e-9, time.perf_counter() - self._start)
 
     def _status(self, cost: FrameCost) -> str:
         lost = f", {self._counts['lost']} LOST" if self._counts["lost"] else ""

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import save_file
 from torch import Tensor
 
 from xrdslam.core.camera import Camera
 from xrdslam.core.errors import XrdslamError
-from xrdslam.core.files import replaced, write_text
+from xrdslam.core.files import write_text
 from xrdslam.core.model import Rendering, View
+from xrdslam.core.saved_state import save_state
+from xrdslam.engine.checkpoints import header_of, known_poses
 from xrdslam.engine.context import Run
 from xrdslam.engine.profile import PROTOCOL
 from xrdslam.evaluation import EvalMetrics, JsonValue, Metrics, Trajectories
@@ -36,6 +36,9 @@ def save_trajectories(run: Run) -> None:
     lost = [index for index in trajectory.indices if trajectory.lost(index)]
     run.directory.write_keyframes([frame.index for frame in run.algorithm.keyframes], lost)
     write_text(run.directory.path / "timing.csv", run.profile.csv())
+    if len(trajectory):
+        exact = {**run.algorithm.results_state(), "ground_truth": known_poses(run)}
+        save_state(run.directory.trajectory_state, exact, header_of(run))
 
 
 def save_map(run: Run, with_mesh: bool = True) -> None:
@@ -44,7 +47,7 @@ def save_map(run: Run, with_mesh: bool = True) -> None:
     OSError, after the others were tried, where the system refuses a file: the disk is full, or gone.
     """
     model = run.algorithm.model
-    _save_state(run.directory.map / "map.safetensors", model)
+    save_state(run.directory.map_state, model.state_dict(), header_of(run))
     if model.size == 0:
         log.warning("the map is empty: no mesh, cloud or splats are written")
         return
@@ -69,16 +72,6 @@ def save_map(run: Run, with_mesh: bool = True) -> None:
             refused = error if isinstance(error, OSError) else refused
     if refused is not None:
         raise refused
-
-
-def _save_state(path: Path, model: torch.nn.Module) -> None:
-    tensors: dict[str, torch.Tensor] = model.state_dict()
-    state = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    with replaced(path) as temporary:
-        try:
-            save_file(state, temporary)
-        except SafetensorError as error:  # what the system refuses arrives under this name
-            raise OSError(f"{path} cannot be written: {error}") from error
 
 
 def evaluate(
@@ -132,6 +125,7 @@ def _conditions(run: Run) -> dict[str, JsonValue]:
         "threads": str(torch.get_num_threads()),
         "device": run.device,
         "preset": run.config.preset,
+        "resumed_after_frames": ", ".join(map(str, run.resumed_after)) or "never",
     }
 
 

@@ -4,7 +4,7 @@ import logging
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,17 +12,24 @@ from types import FrameType
 
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import RunError, XrdslamError
+from xrdslam.core.files import remove_unfinished
 from xrdslam.core.registry import Registry, installed
+from xrdslam.core.saved_state import read_header
+from xrdslam.engine.authorship import check_format
 from xrdslam.engine.build import algorithm_of, build_dataset, resolve_device
+from xrdslam.engine.checkpoints import Checkpoints, newest_checkpoint
 from xrdslam.engine.conclusion import conclude
 from xrdslam.engine.context import Run
 from xrdslam.engine.directory import RunDirectory
 from xrdslam.engine.multiprocess.parent import run_multiprocess
+from xrdslam.engine.overrides import overridden
+from xrdslam.engine.recorded import typed_config
+from xrdslam.engine.restoring import restore
 from xrdslam.engine.seeding import num_threads, prepare
 from xrdslam.engine.sequential import run_sequential
 from xrdslam.evaluation import EvalMetrics, Metrics
 
-__all__ = ["RunSummary", "run"]
+__all__ = ["RunSummary", "resume", "run"]
 
 log = logging.getLogger(__name__)
 
@@ -49,23 +56,56 @@ def run(config: RunConfig, run_dir: Path, registry: Registry | None = None) -> R
     Everything that can be refused is refused before the first frame. Whatever ends the run early (Ctrl-C, SIGTERM, an
     error of a method), what was computed is saved first; an error is raised again after that.
     """
+    this = _built(config, run_dir, registry or installed())
+    this.directory.clear()
+    Checkpoints(this).remove()
+    return _go(this)
+
+
+def resume(run_dir: Path, overrides: Sequence[str] = (), registry: Registry | None = None) -> RunSummary:
+    """Go on with a run that was killed, interrupted or failed, after the frame of its newest checkpoint.
+
+    The settings are those of the checkpoint; `overrides` (`key=value`) may touch nothing that the result depends on.
+    The result is that of the uninterrupted run, to the bit.
+    """
+    registry = registry or installed()
+    path = newest_checkpoint(run_dir)
+    if path is None:
+        state = "has ended" if (run_dir / "metrics.json").is_file() else "left no checkpoint"
+        raise RunError(f"resume={run_dir}: the run there {state}; begin a new one")
+    remove_unfinished(run_dir)
+    header = read_header(path)
+    check_format(header, path)
+    settings = overridden({**header["config"], "run_dir": str(run_dir)}, overrides)
+    this = _built(typed_config(settings, registry), run_dir, registry)
+    restore(this, path)
+    return _go(this)
+
+
+def _built(config: RunConfig, run_dir: Path, registry: Registry) -> Run:
     device = resolve_device(config.device)
     prepare(config.seed, num_threads(config.threads))
-    registry = registry or installed()
     dataset = build_dataset(config, registry)
     algorithm = algorithm_of(config, device, registry)
     this = Run(config, RunDirectory(run_dir), dataset, algorithm, registry, device)
     algorithm.check(this.scene)
     EvalMetrics(config.evaluation).check()
+    return this
+
+
+def _go(this: Run) -> RunSummary:
+    run_dir = this.directory.path
     try:
-        this.directory.write_config(config)
-        this.directory.write_environment(config, device)
+        this.directory.write_config(this.config)
+        this.directory.write_environment(this.config, this.device)
         log_file = _log_file(run_dir / "log.txt")
     except OSError as error:
         raise RunError(
             f"run_dir={run_dir}: cannot be written ({error}); free space, or choose another folder"
         ) from error
-    with _logging_to(log_file), _terminable(), _watched(config, registry):
+    with _logging_to(log_file), _terminable(), _watched(this.config, this.registry):
+        if this.resumed_after:
+            log.info("resumed after frame %d", this.resumed_after[-1])
         return _carry_out(this)
 
 
@@ -74,6 +114,7 @@ def _carry_out(this: Run) -> RunSummary:
     was_interrupted, failure = False, None
     try:
         ENGINES[this.config.engine.name](this)
+        this.has_ended = True
     except KeyboardInterrupt:
         was_interrupted = True
         log.warning("interrupted after %d frames; saving what there is", len(this.algorithm.trajectory))
@@ -85,6 +126,8 @@ def _carry_out(this: Run) -> RunSummary:
     if failure is not None:
         raise failure
     end.raise_fault(this)
+    if not (was_interrupted or end.was_interrupted):
+        Checkpoints(this).remove()
     this.registry.notify("xrdslam_run_finished", run=this, metrics=end.metrics)
     return RunSummary(end.metrics, this.directory.path, was_interrupted or end.was_interrupted)
 

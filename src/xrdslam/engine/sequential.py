@@ -1,31 +1,54 @@
 """The sequential engine: one process, frame after frame; the same seed gives the same bits."""
 
+import logging
 import time
 from contextlib import closing
 
 from xrdslam.core.frame import Frame
 from xrdslam.datasets.prefetch import prefetch
+from xrdslam.engine.checkpoints import Checkpoints
 from xrdslam.engine.context import Run
+from xrdslam.engine.interruption import Interruption
 from xrdslam.engine.profile import FrameCost, rss_mib
 from xrdslam.engine.progress import ProgressReport
 from xrdslam.engine.stages import Mapper, Tracker
 
 __all__ = ["run_sequential"]
 
+log = logging.getLogger(__name__)
+
 
 def run_sequential(run: Run) -> None:
-    """Track and map every frame, then refine; the run's trajectory, profile and ground truth grow as frames pass."""
+    """Track and map every frame, then refine; the run's trajectory, profile and ground truth grow as frames pass.
+
+    Whatever ends it between two frames leaves a checkpoint of that moment; inside a frame, the one before stays.
+    """
+    checkpoints = Checkpoints(run)
+    try:
+        with Interruption() as interruption:
+            _go_through(run, checkpoints, interruption)
+    except (KeyboardInterrupt, Exception):
+        checkpoints.save_if_whole()
+        log.warning("%s", checkpoints.advice())
+        raise
+
+
+def _go_through(run: Run, checkpoints: Checkpoints, interruption: Interruption) -> None:
     tracker = Tracker(run.algorithm, run.scene, run.profile)
     mapper = Mapper(run.algorithm, run.profile)
-    with run.profile.running(), ProgressReport(run.title, len(run.dataset), run.config.engine.progress) as progress:
-        with closing(prefetch(run.dataset.frames(), run.device)) as frames:
+    progress = ProgressReport(run.title, len(run.dataset), run.config.engine.progress, run.profile.frames)
+    with run.profile.running(), progress:
+        with closing(prefetch(run.dataset.frames(run.next_frame), run.device)) as frames:
             asked = time.perf_counter()
             for frame in frames:
                 cost = FrameCost(frame.index, reading_ms=1e3 * (time.perf_counter() - asked))
-                _step(run, tracker, mapper, frame, cost)
+                with checkpoints.changing():
+                    _step(run, tracker, mapper, frame, cost)
                 progress.update(cost)
+                checkpoints.save_if_due()
+                interruption.check()
                 asked = time.perf_counter()
-        with run.profile.finishing():
+        with run.profile.finishing(), checkpoints.changing():
             run.algorithm.finish()
 
 

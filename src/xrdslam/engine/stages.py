@@ -22,16 +22,12 @@ class Tracker:
         self.algorithm = algorithm
         self.scene = scene
         self.profile = profile
-        self._started = False
 
     def step(self, frame: Frame, cost: FrameCost) -> TrackingResult:
         """Track a frame; the first one sets the world."""
         with self.profile.stage(cost, "tracking"):
-            if self._started:
-                result = self.algorithm.track(frame)
-            else:
-                result = self.algorithm.start(self.scene, frame)
-                self._started = True
+            is_first = len(self.algorithm.trajectory) == 0
+            result = self.algorithm.start(self.scene, frame) if is_first else self.algorithm.track(frame)
         cost.tracking_iterations = result.iterations
         cost.is_lost = result.is_lost
         if result.is_lost:
