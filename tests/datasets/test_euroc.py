@@ -125,6 +125,9 @@ def test_a_pair_lacking_its_right_image_is_a_fault_of_that_frame(euroc: Any) -> 
         euroc.open(stereo=True).check()
     skipping = euroc.open(stereo=True, on_error="skip")
     assert [frame.index for frame in skipping.frames()] == [0, 2, 3, 4]
+    whole = [frame.imu for frame in skipping.frames()]
+    resumed = [frame.imu for frame in skipping.frames(1)]
+    assert [len(i.timestamps_ns) for i in resumed if i] == [len(i.timestamps_ns) for i in whole[1:] if i]
 
 
 def test_a_lens_that_is_no_pinhole_is_refused(euroc: Any) -> None:

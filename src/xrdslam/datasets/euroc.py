@@ -86,10 +86,10 @@ class EurocDataset(RgbdSequence):
             frame.stereo = StereoView(torch.from_numpy(self._right_fit.rgb(rgb)), self._baseline_m)
         return frame
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, start: int = 0) -> Iterator[Frame]:
         """Yield every frame; where one is skipped, the next carries the samples since the last that came."""
-        before = None
-        for frame in super().frames():
+        before = self.records[start - 1].timestamp_ns if start else None  # the frame that a resumed run ended with
+        for frame in super().frames(start):
             if self.imu is not None and before is not None:
                 frame.imu = self.imu.between(before, frame.timestamp_ns)
             before = frame.timestamp_ns

@@ -5,7 +5,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError  # type: ignore[import-untyped]  # it ships no types
+from yaml import YAMLError
 
 from xrdslam.core.errors import ConfigError
 
