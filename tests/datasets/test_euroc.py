@@ -35,6 +35,7 @@ def test_samples_of_frames_left_out_go_to_the_next(euroc: Any) -> None:
     euroc.colour_path(2).write_bytes(b"")
     dataset = euroc.open(on_error="skip")
     assert [len(frame.imu.timestamps_ns) for frame in dataset.frames()] == [0, 5, 10, 5]
+    assert [len(frame.imu.timestamps_ns) for frame in dataset.frames(start=2)] == [10, 5]  # of a resumed run
 
 
 def test_samples_are_turned_into_the_body(euroc: Any) -> None:
@@ -125,9 +126,6 @@ def test_a_pair_lacking_its_right_image_is_a_fault_of_that_frame(euroc: Any) -> 
         euroc.open(stereo=True).check()
     skipping = euroc.open(stereo=True, on_error="skip")
     assert [frame.index for frame in skipping.frames()] == [0, 2, 3, 4]
-    whole = [frame.imu for frame in skipping.frames()]
-    resumed = [frame.imu for frame in skipping.frames(1)]
-    assert [len(i.timestamps_ns) for i in resumed if i] == [len(i.timestamps_ns) for i in whole[1:] if i]
 
 
 def test_a_lens_that_is_no_pinhole_is_refused(euroc: Any) -> None:
