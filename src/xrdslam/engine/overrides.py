@@ -11,7 +11,7 @@ from xrdslam.core.errors import ConfigError
 
 __all__ = ["overridden"]
 
-FREE = ("engine.progress", "engine.checkpoint_every", "evaluation", "dataset.root", "dataset.path")
+FREE = ("engine.progress", "engine.checkpoint_every", "evaluation", "report", "dataset.root", "dataset.path")
 """How a run is shown, saved and measured, and where its data lies now."""
 BOUND = ("evaluation.held_out",)
 """What is among those and changes the run all the same: frames kept from the map."""
