@@ -12,6 +12,8 @@ RECORDED = {
     "dataset": {"family": "toy", "scene": "room0", "root": "data", "frames": [0, None, 1]},
     "engine": {"name": "sequential", "progress": True, "checkpoint_every": 50},
     "evaluation": {"every": 5, "held_out": 0},
+    "viewer": {"name": "none", "port": 8000},
+    "report": True,
     "seed": 0,
 }
 
@@ -29,6 +31,10 @@ def test_what_leaves_the_result_alone_may_be_set(override: str) -> None:
             found = found[part]
         assert "." not in key or str(found).lower().replace(" ", "").replace("none", "null") == value
     assert RECORDED["seed"] == 0
+
+
+def test_another_viewer_may_watch() -> None:
+    assert overridden(RECORDED, ["viewer=live", "report=false"])["viewer"] == {"name": "live"}
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from xrdslam.core.errors import ConfigError
 
 __all__ = ["overridden"]
 
-FREE = ("engine.progress", "engine.checkpoint_every", "evaluation", "report", "dataset.root", "dataset.path")
+FREE = ("engine.progress", "engine.checkpoint_every", "evaluation", "report", "viewer", "dataset.root", "dataset.path")
 """How a run is shown, saved and measured, and where its data lies now."""
 BOUND = ("evaluation.held_out",)
 """What is among those and changes the run all the same: frames kept from the map."""
@@ -36,6 +36,8 @@ def overridden(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
             raise ConfigError(f"{override}: resume=<run dir> takes settings as key=value and nothing else")
         if key == "dataset":
             _hold_to(config, ("dataset.family", "dataset.scene"), value.partition("/")[::2], override)
+        elif key == "viewer":
+            config.viewer = {"name": value}
         elif key in CHOICES:
             _hold_to(config, (CHOICES[key],), (value,), override)
         else:
