@@ -172,8 +172,11 @@ class MultiprocessConfig(EngineConfig):
     """`strict`: turn by turn, the sequential engine's very result; `async`: tracking goes ahead of mapping."""
     max_lag: int = 5
     """With `async`: how many tracked frames may wait for the mapper."""
+    checkpoint_every: int = 0
 
     def __post_init__(self) -> None:
+        every = self.checkpoint_every
+        require(every == 0, "engine.checkpoint_every", every, "be 0: only engine=sequential writes checkpoints")
         require_choice("engine.sync", self.sync, ("strict", "async"))
         require(self.max_lag >= 0, "engine.max_lag", self.max_lag, "not be negative")
 

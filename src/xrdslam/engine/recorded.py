@@ -7,7 +7,7 @@ from typing import Any
 from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from xrdslam.core.config import EngineConfig, RunConfig, ViewerConfig
+from xrdslam.core.config import EngineConfig, MultiprocessConfig, RunConfig, ViewerConfig
 from xrdslam.core.errors import ConfigError, RunError
 from xrdslam.core.records import Info
 from xrdslam.core.registry import Registry, installed
@@ -40,7 +40,8 @@ def typed_config(plain: Mapping[str, Any], registry: Registry | None = None) -> 
         schema.algo.tracking = _schema(registry.tracking_method(algo["tracking"]["name"]))
         schema.algo.mapping = _schema(registry.mapping_method(algo["mapping"]["name"]))
         schema.dataset = _schema(registry.dataset(dataset["family"]))
-        schema.engine, schema.evaluation = EngineConfig, EvaluationConfig
+        schema.engine = MultiprocessConfig if plain["engine"]["name"] == "multiprocess" else EngineConfig
+        schema.evaluation = EvaluationConfig
         viewer = plain["viewer"]["name"]
         schema.viewer = ViewerConfig if viewer == "none" else _schema(registry.viewer(viewer))
     try:

@@ -1,10 +1,10 @@
 """What a process sets before it computes: threads, and every source of random numbers."""
 
 import os
-import random
 
-import numpy as np
 import torch
+
+from xrdslam.engine.random_numbers import seed_streams
 
 __all__ = ["num_threads", "prepare"]
 
@@ -20,6 +20,4 @@ def prepare(seed: int, threads: int) -> None:
 
     numba.set_num_threads(min(threads, int(numba.config.NUMBA_NUM_THREADS)))  # type: ignore[attr-defined]  # set late
     torch.set_num_threads(threads)  # after numba, whose start sets the OpenMP pool that both share to all cores
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002  # libraries that a plugin uses may draw from numpy's global stream
-    torch.manual_seed(seed)
+    seed_streams(seed)
