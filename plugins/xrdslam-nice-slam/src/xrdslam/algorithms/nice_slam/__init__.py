@@ -1,0 +1,1 @@
+"""NICE-SLAM for xrdslam."""

@@ -1,0 +1,1 @@
+"""Hydra configuration of NICE-SLAM: what other datasets and presets change."""
