@@ -33,7 +33,7 @@ class NiceSlamMapConfig:
     tracking_weight_rgb: float = 0.5
     outlier_factor: float = 10.0
     """A tracking ray counts up to so many times the median residual."""
-    lr_middle_alone: float = 0.1
+    lr_middle_alone: float = 0.02
     """Rate of the middle grid while nothing else is optimised,"""
     lr_grid: float = 5e-3
     """of all grids later,"""

@@ -96,8 +96,9 @@ class NiceSlamMap(Model):
         kept = ((ends > 0.01) & (ends >= batch.depth)).nonzero()[:, 0]
         origins, directions = batch.origins_world[kept], batch.directions_world[kept]
         rgb, depth, ends = batch.rgb[kept], batch.depth[kept], ends[kept]
+        depths = sample_depths(depth, ends, config, self.generator)
         level: Level = self.level if stage == "mapping" else "color"
-        seen = see(self.field, origins, directions, sample_depths(depth, ends, config), ends, level)
+        seen = see(self.field, origins, directions, depths, ends, level)
         if stage == "tracking":
             found = tracking_losses(seen, rgb, depth, config.outlier_factor)
             return {"depth": found.depth, "rgb": config.tracking_weight_rgb * found.rgb}

@@ -9,7 +9,7 @@ from torch.autograd.function import once_differentiable
 
 from xrdslam.algorithms.nice_slam.config import NiceSlamMapConfig
 from xrdslam.algorithms.nice_slam.field import Level, NiceField
-from xrdslam.ops.sampling import linear_depths, merged
+from xrdslam.ops.sampling import jittered, linear_depths, merged
 from xrdslam.ops.volume_rendering import Composite, composite, occupancy_weights
 
 __all__ = ["exit_depths", "sample_depths", "see"]
@@ -34,17 +34,21 @@ def exit_depths(
 
 @torch.no_grad()
 def sample_depths(
-    depth: Float[Tensor, " n"], exit_depth: Float[Tensor, " n"], config: NiceSlamMapConfig
+    depth: Float[Tensor, " n"],
+    exit_depth: Float[Tensor, " n"],
+    config: NiceSlamMapConfig,
+    generator: torch.Generator,
 ) -> Float[Tensor, "n s"]:
-    """Return depths in order: evenly from the camera to a little behind the surface, and about the surface.
+    """Return depths in order: from the camera to a little behind the surface, and about the surface.
 
-    Without measured depth they go on to where the ray leaves the box.
+    Without measured depth they go on to where the ray leaves the box. The first kind is jittered: at fixed shares of the
+    depth, things could grow between them that no loss sees, and that stand in the way where no depth is given.
     """
     has_depth = depth > 0
     end = exit_depth + 0.01
     near = torch.where(has_depth, 0.01 * depth, 0.01)
     far = torch.where(has_depth, torch.minimum(config.far_share * depth, end), end)
-    even = linear_depths(near, far, config.num_uniform)
+    even = jittered(linear_depths(near, far, config.num_uniform), generator)
     low = torch.where(has_depth, (1 - config.surface_share) * depth, 0.01)
     high = torch.where(has_depth, torch.minimum((1 + config.surface_share) * depth, end), end)
     return merged(even, linear_depths(low, high, config.num_near_surface))
