@@ -71,7 +71,11 @@ def test_points_whose_cotangent_is_zero_get_no_gradient_and_the_others_the_same(
 def test_what_a_fused_optimiser_changed_is_seen_once_the_weights_are_frozen() -> None:
     """It does not count up the version of what it changes."""
     generator = torch.Generator().manual_seed(0)
-    decoder, points, features = FeatureDecoder(32, 1, generator), torch.rand(5, 3, generator=generator), torch.zeros(5, 32)
+    decoder, points, features = (
+        FeatureDecoder(32, 1, generator),
+        torch.rand(5, 3, generator=generator),
+        torch.zeros(5, 32),
+    )
     decoder.requires_grad_(False)(points, features)
     decoder.requires_grad_(True)(points, features).sum().backward()
     torch.optim.Adam(decoder.parameters(), 0.1, fused=True).step()

@@ -12,7 +12,7 @@ where 93 columns of the embedding are filled up to 96 and the outputs to 8 or 32
 import numba
 import numpy as np
 
-from xrdslam.ops.simd import inline_kernel, load, maximum, parallel_kernel, splat, store, transpose, zeros
+from xrdslam.ops.simd import inline_kernel, load, parallel_kernel, splat, store, transpose, zeros
 from xrdslam.ops.simd_layers import cosine, mask_rows, multiply_add, relu_rows, sine
 
 __all__ = ["CHUNK", "decode", "decode_backward", "weight_gradient_size"]

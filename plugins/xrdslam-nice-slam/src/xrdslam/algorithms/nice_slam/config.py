@@ -13,8 +13,8 @@ class NiceSlamMapConfig:
     """The grids: where they are, how fine, how rays are sampled, what losses weigh."""
 
     bounds: list[float] | None = None
-    """The scene's box [m], [x, y, z, x, y, z] of its lower and upper corner, which then stays; by default the data's, or
-    what the first frame saw, and it grows with what later frames see."""
+    """The scene's box [m], [x, y, z, x, y, z] of its lower and upper corner, which then stays; by default what the first
+    frame saw and the data states, and it grows with what later frames see."""
     margin_m: float = 0.16
     """How far a box that was found reaches beyond what was measured."""
     voxel_middle_m: float = 0.32
@@ -66,10 +66,9 @@ class NiceSlamTrackingConfig(IterativeTrackingConfig):
 
     name: str = "nice_slam"
     iterations: int = 10
-    first_iterations: int = 60
+    first_iterations: int = 100
     lr_rotation: float = 1e-3
     lr_translation: float = 1e-3
-    pivot: str = "scene"
     num_pixels: int = 200
     border_px: int = 50
 

@@ -11,6 +11,7 @@ from xrdslam.algorithms.nice_slam.model import NiceSlamMap
 from xrdslam.core.batch import Batch, BatchKind
 from xrdslam.core.errors import PluginError
 from xrdslam.core.frame import Frame
+from xrdslam.core.keyframes import select_keyframes
 from xrdslam.core.mapping import GradientMapping, MappingProblem, MappingResult
 from xrdslam.core.model import Model
 from xrdslam.core.optimisation import Optimum, ParameterGroup, piecewise
@@ -64,8 +65,6 @@ class NiceSlamMapping(GradientMapping):
 
     def select(self, frame: Frame, keyframes: Sequence[Frame]) -> list[Frame]:
         """Choose random keyframes among those that overlap, the last one and the frame; twice as many at the end."""
-        from xrdslam.core.keyframes import select_keyframes
-
         window = self.config.window * (2 if self._refines else 1)
         return select_keyframes(self.config.keyframes, keyframes, frame, window, self.generator)
 

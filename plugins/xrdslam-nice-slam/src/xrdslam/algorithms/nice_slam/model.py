@@ -1,7 +1,7 @@
 """The map of NICE-SLAM: a field in a box that grows with what is seen."""
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -24,13 +24,16 @@ from xrdslam.ops.field_surface import field_surface, rendered_points
 
 __all__ = ["NiceSlamMap", "bounds_of"]
 
+_MESH_VIEWS = 50
+
 
 class NiceSlamMap(Model):
     """Grids over a box; beyond it everything is solid."""
 
     batch_kind: ClassVar[BatchKind] = "rays"
     bounds: Float[Tensor, "2 3"]
-    is_started: Tensor
+    visited: Float[Tensor, "k 4 4"]
+    """T_world_camera of the frames that were mapped."""
 
     def __init__(
         self, config: NiceSlamMapConfig, bounds: Float[Tensor, "2 3"], grows: bool = True, seed: int = 0
@@ -42,25 +45,23 @@ class NiceSlamMap(Model):
         self.generator = torch.Generator().manual_seed(seed)
         self.field = NiceField(config, bounds, self.generator)
         self.register_buffer("bounds", bounds.float())
-        self.register_buffer("is_started", torch.zeros((), dtype=torch.bool))
+        self.register_buffer("visited", torch.zeros(0, 4, 4))
         self.level: Level = "color"
         """What takes part in the mapping losses."""
 
     @property
     def size(self) -> int:
         """Vertices of all grids, once the first frame has come."""
-        return sum(len(grid.table) for grid in self.field.grids) if bool(self.is_started) else 0
+        return sum(len(grid.table) for grid in self.field.grids) if len(self.visited) else 0
 
     @torch.no_grad()
     def extend(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> int:
         """Begin, and enlarge the box by what the frame sees beyond it."""
         before = self.size
-        self.is_started.fill_(True)
+        self.visited = torch.cat((self.visited, T_world_camera.detach()[None].to(self.visited)))
         if self.grows:
             found = bounds_of(frame, T_world_camera, self.config.margin_m).to(self.bounds)
-            wanted = torch.stack(
-                (torch.minimum(found[0], self.bounds[0]), torch.maximum(found[1], self.bounds[1]))
-            )
+            wanted = torch.stack((torch.minimum(found[0], self.bounds[0]), torch.maximum(found[1], self.bounds[1])))
             if not torch.equal(wanted, self.bounds):
                 for grid in self.field.grids:
                     grid.grow(wanted, self.generator)
@@ -119,8 +120,13 @@ class NiceSlamMap(Model):
 
     @torch.no_grad()
     def mesh(self, views: Sequence[View]) -> TriangleMesh:
-        """Return the surface of occupancy 1/2 near what the views see."""
-        points = rendered_points(self, views)
+        """Return the surface of occupancy 1/2 near what the views and the frames between them saw.
+
+        Keyframes are far apart here: every mapped frame is looked from, or evenly some of them where there are many.
+        """
+        stride = max(1, len(self.visited) // _MESH_VIEWS)
+        between = [View(views[0].camera, pose) for pose in self.visited[::stride]] if views else []
+        points = rendered_points(self, [*views, *between])
         device = self.bounds.device
         return field_surface(
             points,
@@ -128,6 +134,11 @@ class NiceSlamMap(Model):
             lambda p: -self.field.logits(p.to(device)),
             lambda p: self.field.rgb(p.to(device)),
         )
+
+    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *args: Any) -> None:  # noqa: ANN401
+        """Take the number of frames from the state."""
+        self.visited = torch.empty_like(state_dict[prefix + "visited"], device=self.visited.device)
+        super()._load_from_state_dict(state_dict, prefix, *args)
 
     def get_extra_state(self) -> Tensor:
         """Return the state of the random numbers, for a resumed run."""

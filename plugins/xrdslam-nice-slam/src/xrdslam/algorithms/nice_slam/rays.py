@@ -41,8 +41,8 @@ def sample_depths(
 ) -> Float[Tensor, "n s"]:
     """Return depths in order: from the camera to a little behind the surface, and about the surface.
 
-    Without measured depth they go on to where the ray leaves the box. The first kind is jittered: at fixed shares of the
-    depth, things could grow between them that no loss sees, and that stand in the way where no depth is given.
+    Without measured depth they go on to where the ray leaves the box. The first kind is jittered: at fixed shares of
+    the depth, things could grow between them that no loss sees, and that stand in the way where no depth is given.
     """
     has_depth = depth > 0
     end = exit_depth + 0.01

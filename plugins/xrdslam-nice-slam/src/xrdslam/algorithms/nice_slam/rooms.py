@@ -63,15 +63,15 @@ def random_room(generator: torch.Generator, scale: float = 1.0, reach_m: float =
     def uniform(low: float, high: float, *shape: int) -> Tensor:
         return low + (high - low) * torch.rand(*shape, generator=generator)
 
-    sides = torch.cat((uniform(3, 7, 2), uniform(2.2, 3.5, 1)))[torch.randperm(3, generator=generator)]
+    sides = torch.cat((uniform(3.0, 7.0, 2), uniform(2.2, 3.5, 1)))[torch.randperm(3, generator=generator)]
     half = scale * sides / 2
     count = int(torch.randint(5, 12, (1,), generator=generator))
     sizes = scale * torch.exp(uniform(-3.2, -0.4, count, 3))  # from 4 to 67 cm half a side: boards, legs and cupboards
-    centers = uniform(-1, 1, count, 3) * half
-    turns = so3.exp(uniform(-1, 1, count, 3) * (torch.rand(count, 1, generator=generator) < 0.6))
-    balls = torch.cat((uniform(-1, 1, 4, 3) * half, scale * uniform(0.1, 0.5, 4, 1)), 1)
+    centers = uniform(-1.0, 1.0, count, 3) * half
+    turns = so3.exp(uniform(-1.0, 1.0, count, 3) * (torch.rand(count, 1, generator=generator) < 0.6))
+    balls = torch.cat((uniform(-1.0, 1.0, 4, 3) * half, scale * uniform(0.1, 0.5, 4, 1)), 1)
     upright = float(torch.rand((), generator=generator)) < 0.5
-    rotation = torch.eye(3) if upright else so3.exp(uniform(-2, 2, 3))
+    rotation = torch.eye(3) if upright else so3.exp(uniform(-2.0, 2.0, 3))
     return Room(half, torch.cat((centers, sizes), 1), turns, balls, rotation, uniform(-reach_m, reach_m, 3))
 
 
