@@ -127,7 +127,12 @@ def dense_grid_torch(
 class _DenseGrid(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, points: Tensor, table: Tensor, values: Tensor, slots: Tensor, layout: DenseGridLayout
+        ctx: Any,  # noqa: ANN401
+        points: Tensor,
+        table: Tensor,
+        values: Tensor,
+        slots: Tensor,
+        layout: DenseGridLayout,
     ) -> Tensor:
         from xrdslam.ops.dense_grid_kernels import interpolate
         from xrdslam.ops.threads import kernel_threads

@@ -25,7 +25,7 @@ _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
 @inline_kernel
-def _place(coordinate: np.float32, vertices: int) -> tuple[int, np.float32]:
+def _place(coordinate: np.float32, vertices: int) -> tuple[np.int64, np.float32]:
     """Return the cell of a coordinate in vertices and the share of its upper vertex; the border outside."""
     q = coordinate
     last = np.float32(vertices - 1)
@@ -33,7 +33,9 @@ def _place(coordinate: np.float32, vertices: int) -> tuple[int, np.float32]:
         q = _ZERO
     if q > last:
         q = last
-    cell = min(np.int64(q), vertices - 2)
+    cell = np.int64(q)
+    if cell > vertices - 2:
+        cell = np.int64(vertices - 2)
     return cell, q - np.float32(cell)
 
 

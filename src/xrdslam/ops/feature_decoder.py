@@ -23,7 +23,7 @@ _PADDED = 96
 class FeatureDecoder(nn.Module):
     """The parameters, under the names that published checkpoints have.
 
-    The embedding's matrix begins as N(0, 25^2) [rad/m]; the layers as Xavier-uniform, the output without the ReLU's gain.
+    The embedding's matrix begins as N(0, 25^2) [rad/m]; the layers as Xavier-uniform, the output without its gain.
     """
 
     def __init__(self, channels: int, outputs: int, generator: torch.Generator | None = None) -> None:
@@ -56,7 +56,7 @@ class FeatureDecoder(nn.Module):
     def weights(self) -> tuple[Tensor, ...]:
         """Return all parameters in the order of `decode_features`."""
         layers = [t for layer in (*self.pts_linears, *self.fc_c) for t in (layer.weight, layer.bias)]
-        return (self.embedder._B, *layers, self.output_linear.weight, self.output_linear.bias)  # type: ignore[return-value]  # modules are untyped
+        return (self.embedder._B, *layers, self.output_linear.weight, self.output_linear.bias)
 
     def packs(self) -> tuple[Tensor, Tensor]:
         """Return the weights as the CPU kernel reads them; they are kept while nobody optimises the weights.
@@ -142,7 +142,7 @@ def _unpacked(grown: Tensor, channels: int, outputs: int) -> list[Tensor]:
     """Return the gradients of B, W, b, V, d, ... from one that lies as the forward pack does."""
     sizes = [3 * _PADDED, _PADDED * 32, 1024, 1024, _PADDED * 32, 1024, 1024, 160, 160]
     sizes += [channels * 32] * 5 + [1024, 32]
-    parts = list(grown.split(sizes))
+    parts = list(torch.split(grown, sizes))
     e, h = parts[4].reshape(_PADDED, 32)[:EMBEDDED], parts[5].reshape(32, 32)
     W = [parts[1].reshape(_PADDED, 32)[:EMBEDDED], parts[2].reshape(32, 32), parts[3].reshape(32, 32)]
     W += [torch.cat((e, h)), parts[6].reshape(32, 32)]

@@ -2,12 +2,16 @@
 
 Weights come in two flat packs, one for each direction, so that eight outputs lie side by side for every input:
 
-- forward: B (3, 96) | layers 0..4 transposed (96 | 32 | 32 | 96 + 32 | 32, 32) | biases (5, 32) | feature biases (5, 32)
-  | feature matrices transposed 5 x (C, 32) | output transposed (32, 32) | output bias (32)
+- forward: B (3, 96) | layers 0..4 transposed (96 | 32 | 32 | 96 + 32 | 32, 32) | biases (5, 32)
+  | feature biases (5, 32) | feature matrices transposed 5 x (C, 32) | output transposed (32, 32) | output bias (32)
 - backward: layers 0..4 (32, 96 | 32 | 32 | 96 | 32 | 32) | feature matrices 5 x (32, C) | output (8, 32)
 
 where 93 columns of the embedding are filled up to 96 and the outputs to 8 or 32 with zeros.
 """
+
+# Intrinsics are called without their typing context, and forward and backward share the tile, its scratch and the
+# places in the packs, which makes this one long file:
+# mypy: disable-error-code="call-arg"
 
 import numba
 import numpy as np

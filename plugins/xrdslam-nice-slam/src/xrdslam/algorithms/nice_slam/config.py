@@ -13,8 +13,8 @@ class NiceSlamMapConfig:
     """The grids: where they are, how fine, how rays are sampled, what losses weigh."""
 
     bounds: list[float] | None = None
-    """The scene's box [m], [x, y, z, x, y, z] of its lower and upper corner, which then stays; by default what the first
-    frame saw and the data states, and it grows with what later frames see."""
+    """The scene's box [m], [x, y, z, x, y, z] of its lower and upper corner, which then stays; by default what the
+    first frame saw and the data states, and it grows with what later frames see."""
     margin_m: float = 0.16
     """How far a box that was found reaches beyond what was measured."""
     voxel_middle_m: float = 0.32

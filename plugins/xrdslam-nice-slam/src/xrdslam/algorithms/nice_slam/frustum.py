@@ -17,7 +17,7 @@ def seen_by(points_world: Float[Tensor, "n 3"], frame: Frame, margin_m: float) -
     Depth is interpolated between pixels; where none was measured, the largest of the looked-up depths counts.
     """
     pose = frame.pose.matrix().detach()
-    near = (points_world - pose[:3, 3]).norm(dim=1) < margin_m
+    near: Tensor = (points_world - pose[:3, 3]).norm(dim=1) < margin_m
     if frame.depth is None:
         return near
     pixels, z = frame.camera.project(se3.transform(se3.inverse(pose), points_world))

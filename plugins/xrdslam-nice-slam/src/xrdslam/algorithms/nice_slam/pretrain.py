@@ -114,7 +114,8 @@ def _of_the_unknown(
     noise = 1e-2 * torch.randn(len(points), 2 * CHANNELS, generator=generator)
     middle = decoders[0](points, noise[:, CHANNELS:])
     fine = decoders[1](points, noise * torch.cat((torch.full((CHANNELS,), 1e-2), torch.ones(CHANNELS))))
-    return SCALE * ((middle - UNKNOWN_LOGIT).square().mean() + fine.square().mean())
+    off: Tensor = (middle - UNKNOWN_LOGIT).square().mean() + fine.square().mean()
+    return SCALE * off
 
 
 @torch.no_grad()
@@ -163,7 +164,7 @@ def teach(teaching: Teaching, seed: int) -> tuple[FeatureDecoder, FeatureDecoder
             loss,
             100 * first,
             100 * second,
-            float(torch.cat([lesson.tables[0] for lesson in taught]).std()),
+            float(torch.cat([lesson.tables[0].detach() for lesson in taught]).std()),
         )
     return decoders
 

@@ -77,4 +77,5 @@ def random_room(generator: torch.Generator, scale: float = 1.0, reach_m: float =
 
 def _to_box(points: Tensor, center: Tensor, half: Tensor, turn: Tensor) -> Tensor:
     beyond = ((points - center) @ turn).abs() - half
-    return beyond.clamp(min=0).norm(dim=1) + beyond.amax(1).clamp(max=0)
+    distance: Tensor = beyond.clamp(min=0).norm(dim=1) + beyond.amax(1).clamp(max=0)
+    return distance
