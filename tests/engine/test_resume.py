@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from xrdslam_toy.config import ToyConfig
 
 from xrdslam.core.config import (
     AlgorithmConfig,
@@ -33,7 +32,7 @@ from xrdslam.core.hookspecs import hookimpl
 from xrdslam.core.keyframes import select_keyframes
 from xrdslam.core.mapping import GradientMapping
 from xrdslam.core.records import AlgorithmInfo, DatasetInfo, MappingMethodInfo, TrackingMethodInfo
-from xrdslam.core.registry import Registry
+from xrdslam.core.registry import Registry, installed
 from xrdslam.core.saved_state import load_state, save_state
 from xrdslam.datasets.config import DatasetConfig
 from xrdslam.datasets.synthetic.config import SyntheticConfig
@@ -242,7 +241,8 @@ def test_a_run_killed_while_it_writes_a_checkpoint_goes_on_from_the_one_before(t
     data = SyntheticConfig(num_frames=8, size=[32, 24], lighting="coarse", cache=False)
     sparse = EvaluationConfig(every=4, pictures_every=0, trajectory_pictures=False, mesh_samples=0)
     engine = EngineConfig(checkpoint_every=2, progress=False)
-    run(RunConfig(ToyConfig(keyframe_every=3), data, engine, sparse, threads=1), whole)
+    toy = installed().algorithm("toy").load_config()  # the example, which is a plugin like any other
+    run(RunConfig(toy(keyframe_every=3), data, engine, sparse, threads=1), whole)
     killed.mkdir()
     shutil.copy(whole / "config.yaml", killed)
 
