@@ -44,7 +44,7 @@ def module_of(path: Path) -> tuple[str, ...]:
 
 def part_of(module: tuple[str, ...]) -> str:
     """`core` of xrdslam.core.camera; `algorithms` of a plugin; `__main__` of what only starts a command line."""
-    if module == ("xrdslam", "datasets", "__main__"):
+    if module in (("xrdslam", "datasets", "__main__"), ("xrdslam", "evaluation", "__main__")):
         return "__main__"
     return module[1] if module[0] == "xrdslam" else module[0]
 
