@@ -11,7 +11,7 @@ from xrdslam.core.errors import ConfigError, DataError
 from xrdslam.core.registry import Registry
 from xrdslam.engine.restoring import load_run
 from xrdslam.engine.results import evaluate, save_report
-from xrdslam.engine.run import prepare
+from xrdslam.engine.seeding import num_threads, prepare
 from xrdslam.evaluation import EvalMetrics, EvaluationConfig, JsonValue, Metrics
 
 __all__ = ["evaluate_again", "overlaid"]
@@ -38,7 +38,7 @@ def evaluate_again(
             f"evaluation.held_out={run.config.evaluation.held_out}; what it has seen it cannot unsee, run it again"
         )
     run.config.evaluation = config
-    prepare(run.config)
+    prepare(run.config.seed, num_threads(run.config.threads))
     EvalMetrics(config).check()
     metrics = evaluate(run, true_mesh=true_mesh, profile_protocol=_protocol_of(run_dir))
     if run.config.report:
