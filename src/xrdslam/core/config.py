@@ -165,7 +165,7 @@ class EngineConfig:
 
 @dataclass
 class MultiprocessConfig(EngineConfig):
-    """Tracker, Mapper and Visualizer as processes."""
+    """Tracker and Mapper as processes."""
 
     name: str = "multiprocess"
     sync: str = "strict"

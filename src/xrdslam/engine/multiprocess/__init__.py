@@ -1,1 +1,1 @@
-"""Tracker, Mapper and Visualizer as processes: the engine `engine=multiprocess`."""
+"""Tracker and Mapper as processes: the engine `engine=multiprocess`."""

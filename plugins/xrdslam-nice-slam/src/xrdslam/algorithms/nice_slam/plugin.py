@@ -19,6 +19,7 @@ def xrdslam_algorithms() -> list[AlgorithmInfo]:
             mapping="nice_slam",
             paper="Zhu, Peng, Larsson, Xu, Bao, Cui, Oswald and Pollefeys, NICE-SLAM: Neural Implicit Scalable Encoding"
             " for SLAM, CVPR 2022",
+            published="xrdslam.algorithms.nice_slam:published.yaml",
         )
     ]
 
