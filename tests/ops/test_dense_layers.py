@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from xrdslam.ops import dense_layers
 from xrdslam.ops.dense_layers import linear, linear_torch, outer_sum, outer_sum_torch
 
 
@@ -43,3 +44,20 @@ def test_layers_carry_no_gradient() -> None:
     inputs = torch.randn(5, 4, requires_grad=True)
     assert not linear(inputs, torch.randn(3, 4)).requires_grad
     assert not outer_sum(inputs, inputs).requires_grad
+
+
+def test_what_onednn_is_given_has_no_gaps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A view of some columns sends it into a reference loop, a thousand times slower."""
+    seen: list[torch.Tensor] = []
+
+    def noting(rows: torch.Tensor, weight: torch.Tensor, *_: object) -> torch.Tensor:
+        seen.extend((rows, weight))
+        return linear_torch(rows, weight)
+
+    monkeypatch.setattr(dense_layers, "_onednn", lambda: noting)
+    wide, weight = torch.randn(9, 10), torch.randn(4, 10)
+    torch.testing.assert_close(linear(wide[:, :6], weight[:, :6]), wide[:, :6] @ weight[:, :6].mT)
+    assert linear(torch.randn(9, 4), weight[:, :6].mT).shape == (9, 6)
+    torch.testing.assert_close(outer_sum(wide[:, :6], wide[:, 6:]), wide[:, :6].mT @ wide[:, 6:])
+    assert len(seen) == 6
+    assert all(tensor.is_contiguous() or tensor.mT.is_contiguous() for tensor in seen)

@@ -27,7 +27,7 @@ def linear(
     if fast is None or rows.device.type != "cpu" or rows.dtype not in (torch.float32, torch.bfloat16) or not len(rows):
         return linear_torch(rows, weight, bias, relu)
     with torch.no_grad():
-        return fast(rows, weight, bias, "relu" if relu else "none", [], "")  # type: ignore[no-any-return]
+        return fast(_dense(rows), _dense(weight), bias, "relu" if relu else "none", [], "")  # type: ignore[no-any-return]
 
 
 def linear_torch(rows: Tensor, weight: Tensor, bias: Tensor | None = None, relu: bool = False) -> Tensor:
@@ -44,13 +44,18 @@ def outer_sum(left: Float[Tensor, "n o"], right: Float[Tensor, "n i"]) -> Float[
     if fast is None or left.device.type != "cpu" or left.dtype != torch.float32 or not len(left):
         return outer_sum_torch(left, right)
     with torch.no_grad():
-        return fast(left.mT, right.mT, None, "none", [], "")  # type: ignore[no-any-return]
+        return fast(_dense(left.mT), _dense(right.mT), None, "none", [], "")  # type: ignore[no-any-return]
 
 
 def outer_sum_torch(left: Tensor, right: Tensor) -> Tensor:
     """Sum the outer products: the twin."""
     with torch.no_grad():
         return left.mT @ right
+
+
+def _dense(matrix: Tensor) -> Tensor:
+    """Return the matrix without gaps in memory: for a view of some columns oneDNN has but a reference loop."""
+    return matrix if matrix.is_contiguous() or matrix.mT.is_contiguous() else matrix.contiguous()
 
 
 @functools.cache
