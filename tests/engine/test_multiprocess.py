@@ -6,8 +6,10 @@ import json
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 from collections.abc import Iterator
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from xrdslam.engine import Run, run
 from xrdslam.evaluation import EvaluationConfig
 from xrdslam.testing.bits import different_leaves
 from xrdslam.testing.toy_sequence import ToySequence, toy_sequence
+from xrdslam.testing.traces import Traces
 
 WRONG = "xrdslam.testing.misbehaving:"
 
@@ -100,25 +103,25 @@ def registry(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) ->
 
 
 @pytest.fixture(autouse=True)
-def _nothing_is_left() -> Iterator[None]:
+def _nothing_is_left(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """No process, no named memory, no file in the temporary folder, no thread survives a run."""
-    before = _traces()
+    traces = Traces(tmp_path_factory.mktemp("traces"))
+    resource_tracker.ensure_running()  # for the tests' own process, before it is marked
+    for name, value in traces.environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(tempfile, "tempdir", str(traces.folder))
+    register = resource_tracker.register
+
+    def note(name: str, kind: str) -> None:
+        traces.note(name)
+        register(name, kind)
+
+    monkeypatch.setattr(resource_tracker, "register", note)
+    threads = {thread.name for thread in threading.enumerate()}
     yield
-    left = _traces() - before
-    assert not left, f"the run left {sorted(left)}"
+    assert traces.left() == []
+    assert {thread.name for thread in threading.enumerate()} <= threads
     assert not multiprocessing.active_children()
-
-
-def _traces() -> set[str]:
-    import tempfile
-
-    folders = [Path("/dev/shm"), Path(tempfile.gettempdir())]
-    names = {str(path) for folder in folders for path in folder.glob("*") if _is_ours(path.name)}
-    return names | {thread.name for thread in threading.enumerate()}
-
-
-def _is_ours(name: str) -> bool:
-    return name.startswith(("sem.mp-", "pymp-", "pym-", "torch_", "psm_", "xrdslam"))
 
 
 def config_of(tracking: str = "toy", mapping: str = "toy", **changes: Any) -> RunConfig:

@@ -3,11 +3,13 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from multiprocessing.managers import BaseManager
 from typing import Any, Protocol, runtime_checkable
 
-__all__ = ["AlgorithmManager", "Entry", "SharedAlgorithm", "Steps", "serve"]
+__all__ = ["LISTENING", "AlgorithmManager", "Entry", "SharedAlgorithm", "Steps", "serve"]
+
+LISTENING = "listening"
+"""What the server says once it can be connected to."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,10 @@ class _Server(AlgorithmManager):
     pass
 
 
-def serve(address: str, key: bytes, ready: Connection) -> None:
+def serve(address: str, key: bytes, say: Callable[[object], None]) -> None:
     """Be the server: say when it listens, then serve until the process is ended."""
     shared = SharedAlgorithm()
     _Server.register("algorithm", callable=lambda: shared, exposed=("record", "since"))
     server = _Server(address, key).get_server()
-    ready.send("listening")
+    say(LISTENING)
     server.serve_forever()

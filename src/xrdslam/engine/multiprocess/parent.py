@@ -39,18 +39,15 @@ def run_multiprocess(run: Run) -> None:
         processes = Processes(channels)
         parent: _Parent | None = None
         try:
-            processes.start_server()
-            parent = _Parent(run, channels)
-            with ProgressReport(run.title, len(run.dataset), run.config.engine.progress) as progress:
-                _start_workers(run, processes, parent.is_heard)
-                while not parent.is_finished:
-                    check()
-                    processes.watch(LOOK_EVERY_S)
-                    try:
+            with processes.explaining():
+                processes.start_server()
+                parent = _Parent(run, channels)
+                with ProgressReport(run.title, len(run.dataset), run.config.engine.progress) as progress:
+                    _start_workers(run, processes, parent.is_heard)
+                    while not parent.is_finished:
+                        check()
+                        processes.watch(LOOK_EVERY_S)
                         parent.follow(progress)
-                    except (EOFError, OSError):
-                        processes.watch(timeout_s=1)  # the server has ended: says which process is the cause
-                        raise
         finally:
             processes.end_workers()
             if parent is not None:

@@ -45,8 +45,8 @@ def stop_signals() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def deaf() -> Iterator[None]:
-    """Let processes that are started inside begin without hearing SIGINT: importing takes them seconds."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Let processes that are started inside begin without hearing SIGINT and SIGTERM: importing takes them a while."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
     try:
         yield
     finally:
