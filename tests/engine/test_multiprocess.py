@@ -60,7 +60,8 @@ class Toy:
     @hookimpl
     def xrdslam_tracking_methods(self) -> list[TrackingMethodInfo]:
         names = {"toy": "xrdslam.core.tracking:GradientTracking"}
-        names |= {"failing": f"{WRONG}FailingTracking", "killed": f"{WRONG}KilledTracking"}
+        wrong = {"failing": "FailingTracking", "killed": "KilledTracking", "leaving": "LeavingTracking"}
+        names |= {name: f"{WRONG}{target}" for name, target in wrong.items()}
         return [TrackingMethodInfo(name, target) for name, target in names.items()]
 
     @hookimpl
@@ -216,6 +217,7 @@ def assert_saved(folder: Path, frames: int) -> None:
     ("tracking", "mapping", "message", "frames"),
     [
         ("killed", "toy", "the tracker was killed by SIGKILL", 3),
+        ("leaving", "toy", "the tracker ended before its work was done, with exit status 0", 3),
         ("toy", "failing", "the mapper failed: ZeroDivisionError: a fault of the mapper", 4),
     ],
 )

@@ -11,7 +11,14 @@ from xrdslam.core.model import Model
 from xrdslam.core.tracking import GradientTracking, TrackingResult
 from xrdslam.core.trajectory import Trajectory
 
-__all__ = ["DivergingMapping", "FailingMapping", "FailingTracking", "KilledMapping", "KilledTracking"]
+__all__ = [
+    "DivergingMapping",
+    "FailingMapping",
+    "FailingTracking",
+    "KilledMapping",
+    "KilledTracking",
+    "LeavingTracking",
+]
 
 FRAME = 3
 
@@ -31,6 +38,15 @@ class KilledTracking(GradientTracking):
     def track(self, frame: Frame, model: Model, trajectory: Trajectory) -> TrackingResult:
         if frame.index == FRAME:
             os.kill(os.getpid(), signal.SIGKILL)
+        return super().track(frame, model, trajectory)
+
+
+class LeavingTracking(GradientTracking):
+    """Ends its process as if all were well."""
+
+    def track(self, frame: Frame, model: Model, trajectory: Trajectory) -> TrackingResult:
+        if frame.index == FRAME:
+            raise SystemExit(0)
         return super().track(frame, model, trajectory)
 
 
