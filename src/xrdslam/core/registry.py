@@ -113,10 +113,15 @@ class Registry:
             log.warning("%s", plugin)
         self.broken[plugin.name] = plugin
 
-    def notify(self, hook: str, **arguments: object) -> None:
-        """Call a run-time hook of every plugin. One that raises is reported and not called again: it costs no run."""
+    def notify(self, hook: str, **arguments: object) -> bool:
+        """Call a run-time hook of every plugin; say whether all of them, if any, heard it.
+
+        One that raises is reported and not called again: it costs no run.
+        """
+        is_heard = True
         for implementation in getattr(self._manager.hook, hook).get_hookimpls():
             if (hook, implementation.plugin) in self._silenced:
+                is_heard = False
                 continue
             try:
                 implementation.function(*[arguments[name] for name in implementation.argnames])
@@ -124,6 +129,8 @@ class Registry:
                 whose = self._distributions.get(implementation.plugin, "a plugin")
                 log.warning("hook %s of %s raised %r; it is not called again", hook, whose, error)
                 self._silenced.add((hook, implementation.plugin))
+                is_heard = False
+        return is_heard
 
     def all(self, kind: type[Record]) -> dict[str, Record]:
         """Return every usable record of a kind, by name; names that two distributions claim are left out."""

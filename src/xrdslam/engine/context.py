@@ -1,5 +1,6 @@
 """What belongs to one run."""
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 import torch
@@ -34,6 +35,8 @@ class Run:
     """The frames after which the run was taken up again."""
     has_ended: bool = False
     """Whether every frame has passed."""
+    closing: ExitStack = field(default_factory=ExitStack)
+    """What an engine leaves open until everything is saved and measured."""
 
     @property
     def scene(self) -> Scene:

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -103,7 +103,7 @@ def _go(this: Run) -> RunSummary:
         raise RunError(
             f"run_dir={run_dir}: cannot be written ({error}); free space, or choose another folder"
         ) from error
-    with _logging_to(log_file), _terminable(), _watched(this.config, this.registry):
+    with _logging_to(log_file), _terminable(), this.closing, _watched(this.config, this.registry):
         if this.resumed_after:
             log.info("resumed after frame %d", this.resumed_after[-1])
         return _carry_out(this)
@@ -148,13 +148,27 @@ def _log_file(path: Path) -> logging.Handler:
 
 @contextmanager
 def _watched(config: RunConfig, registry: Registry) -> Iterator[None]:
-    """Let the chosen viewer hear of the run; an extra that is missing is named before the first frame."""
-    if config.viewer.name == "none":
+    """Let the chosen viewer hear of the run; an extra that is missing is named before the first frame.
+
+    A viewer lives in this process, unless the engine has one for it.
+    """
+    name = config.viewer.name
+    if name == "none":
         yield
         return
-    viewer = registry.viewer(config.viewer.name).load()(config.viewer)
-    with closing(viewer), registry.listening(viewer, f"viewer={config.viewer.name}"):
+    record = registry.viewer(name)
+    if config.engine.name == "multiprocess":
         yield
+        return
+    viewer = record.load()(config.viewer)
+    try:
+        with registry.listening(viewer, f"viewer={name}"):
+            yield
+    finally:
+        try:
+            viewer.close()
+        except Exception as error:  # everything is saved by now
+            log.warning("viewer=%s could not be closed: %s: %s", name, type(error).__name__, error)
 
 
 @contextmanager

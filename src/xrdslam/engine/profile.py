@@ -24,6 +24,7 @@ PROTOCOL = {
     "frames_per_second": "all frames over the wall time of the whole run",
     "tracking": "all frames but the first, whose pose is given",
     "mapping": "all frames, those that the method does not map among them",
+    "viewer_drops": "frames that a viewer did not see: it was busy with an earlier one, failed on it, or had ended",
     "peak_rss": "largest resident memory, summed over the run's processes; what they share counts in each",
 }
 """What the figures of a run's cost mean, whichever engine carried it out."""
@@ -65,6 +66,8 @@ class Profile:
     earlier_peak_rss_mib: float = 0.0
     """The peak of the processes that carried the run out before it was resumed."""
     earlier_peak_cuda_mib: float = 0.0
+    viewer_drops: int | None = None
+    """Frames that a viewer in a process of its own was not shown; None without one."""
 
     def __post_init__(self) -> None:
         self._since: tuple[float, float] | None = None
@@ -169,6 +172,8 @@ class Profile:
             "keyframes": float(sum(f.is_keyframe for f in self.frames)),
             "peak_rss_mib": max(self.earlier_peak_rss_mib, self.peak_rss_mib),
         }
+        if self.viewer_drops is not None:
+            figures["viewer_drops"] = float(self.viewer_drops)
         cuda = max(self.earlier_peak_cuda_mib, self.peak_cuda_mib)
         return figures | ({"peak_cuda_mib": cuda} if torch.cuda.is_available() else {})
 

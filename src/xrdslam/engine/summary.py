@@ -30,6 +30,7 @@ ROWS = (
     ("profile/frames_per_second", "frames per second", "1/s", 3),
     ("profile/tracking_ms_per_frame", "tracking per frame", "ms", 1),
     ("profile/mapping_ms_per_frame", "mapping per frame", "ms", 1),
+    ("profile/viewer_drops", "frames that the viewer did not see", "", 0),
     ("profile/map_size", "map size", "primitives", 0),
     ("profile/peak_rss_mib", "peak memory", "MiB", 0),
 )

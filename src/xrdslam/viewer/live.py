@@ -2,7 +2,6 @@
 
 import logging
 import threading
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,13 +17,6 @@ from xrdslam.viewer.stage import Stage
 __all__ = ["LiveViewer"]
 
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class _Counts:
-    frames: int = 0
-    lost: int = 0
-    keyframes: int = 0
 
 
 class LiveViewer:
@@ -44,7 +36,8 @@ class LiveViewer:
         """Frames that nobody looked at."""
         self.over_budget = 0
         """Frames that were not shown because the page had had its share of the time."""
-        self._counts = _Counts()
+        self._heard = 0
+        self._done = 0
         self._kept: dict[int, PointCloud] = {}
         self._total = 0
         self._thread = threading.Thread(target=self._show_all, name="viewer", daemon=True)
@@ -60,8 +53,8 @@ class LiveViewer:
     @hookimpl
     def xrdslam_frame_tracked(self, run: Watched, frame: Frame, result: object) -> None:
         """Count; show a frame that is not mapped too, where somebody looks and there is time."""
-        self._counts.frames += 1
-        self._counts.lost += bool(getattr(result, "is_lost", False))
+        self._heard += 1
+        self._done = len(run.algorithm.trajectory)
         if not self.stage.is_watched:
             self.unwatched += 1
         elif not self.budget.is_open:
@@ -73,11 +66,11 @@ class LiveViewer:
     @hookimpl
     def xrdslam_run_finished(self, run: Watched, metrics: object) -> None:
         """Say that it is over, and what became of the frames."""
-        self.stage.say(f"**{run.title}**, finished after {self._counts.frames} frames", 1.0)
+        self.stage.say(f"**{run.title}**, finished after {len(run.algorithm.trajectory)} frames", 1.0)
         log.info(
             "the page showed %d of %d frames (%d without a browser, %d over its share of time, %d overtaken by newer)",
-            self._counts.frames - self.unwatched - self.over_budget - self.slot.dropped,
-            self._counts.frames,
+            self._heard - self.unwatched - self.over_budget - self.slot.dropped,
+            self._heard,
             self.unwatched,
             self.over_budget,
             self.slot.dropped,
@@ -93,8 +86,9 @@ class LiveViewer:
         algorithm, camera = run.algorithm, frame.camera
         trajectory = algorithm.trajectory
         keyframes = [trajectory.pose(keyframe.index).numpy() for keyframe in algorithm.keyframes]
-        lost = f", {self._counts.lost} lost" if self._counts.lost else ""
-        status = f"**{run.title}**, frame {self._counts.frames} of {self._total}, {len(keyframes)} keyframes{lost}"
+        num_lost = int(trajectory.is_lost.sum())
+        lost = f", {num_lost} lost" if num_lost else ""
+        status = f"**{run.title}**, frame {len(trajectory)} of {self._total}, {len(keyframes)} keyframes{lost}"
         return Snapshot(
             frame_index=frame.index,
             status=status,
@@ -124,7 +118,7 @@ class LiveViewer:
 
     def _show(self, snapshot: Snapshot) -> None:
         stage = self.stage
-        stage.say(snapshot.status, self._counts.frames / max(self._total, 1))
+        stage.say(snapshot.status, self._done / max(self._total, 1))
         if snapshot.cloud is not None and len(snapshot.cloud.points):
             stage.cloud("map", snapshot.cloud)
             view = Outside.behind(snapshot.cloud.points, snapshot.T_world_camera[None])

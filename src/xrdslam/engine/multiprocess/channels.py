@@ -14,6 +14,7 @@ from xrdslam.core.shared_algorithm import AlgorithmManager, Steps
 from xrdslam.engine.multiprocess.frame_ring import FrameRing
 from xrdslam.engine.multiprocess.memory import SharedMemory
 from xrdslam.engine.multiprocess.shared_state import SharedState
+from xrdslam.engine.multiprocess.viz_buffer import NewestFrame
 
 __all__ = ["Channels", "Counters", "wait_until"]
 
@@ -35,6 +36,15 @@ class Counters:
     @is_up.setter
     def is_up(self, value: bool) -> None:
         self._word(2)[0] = value
+
+    @property
+    def may_begin(self) -> bool:
+        """Whether the parent waits for nobody else, such as a viewer that opens its page."""
+        return bool(self._word(3)[0])
+
+    @may_begin.setter
+    def may_begin(self, value: bool) -> None:
+        self._word(3)[0] = value
 
     @property
     def tracked(self) -> int:
@@ -76,6 +86,8 @@ class Channels:
     """The mapper is done with a frame."""
     map_buffer: "Queue[int]"
     """Tracker to mapper: the index of each frame in order, then -1."""
+    viz_buffer: NewestFrame
+    """Tracker to visualizer: the index of the newest frame; the mapper rings when it is done with one."""
 
     @classmethod
     def build(cls, context: SpawnContext, dataset: Dataset) -> "Channels":
@@ -90,6 +102,7 @@ class Channels:
             event_ready=context.Event(),
             event_processed=context.Event(),
             map_buffer=context.Queue(),
+            viz_buffer=NewestFrame(),
         )
 
     def close(self) -> None:

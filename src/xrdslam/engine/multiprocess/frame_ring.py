@@ -13,13 +13,14 @@ from torch import Tensor
 from xrdslam.core.camera import Camera
 from xrdslam.core.dataset import Dataset
 from xrdslam.core.errors import RunError
-from xrdslam.core.frame import Frame, ImuSamples
+from xrdslam.core.frame import Frame, ImuSamples, StereoView
 from xrdslam.core.pose import RotationKind
 from xrdslam.engine.multiprocess.memory import PlacedTensor, SharedMemory, place
 
 __all__ = ["FrameRing", "Holder", "PlacedFrame"]
 
 IMU = "imu."
+RIGHT = "right"
 
 
 class Holder(IntEnum):
@@ -45,6 +46,8 @@ class PlacedFrame:
     rotation: np.ndarray
     translation: np.ndarray
     T_world_camera_gt: np.ndarray | None
+    baseline_m: float | None
+    """Of a rectified pair, whose right image lies in the slot too."""
 
     def at(self, frame: Frame) -> "PlacedFrame":
         """Return the same with the pose that a frame has now, in its very parameters."""
@@ -111,6 +114,7 @@ class FrameRing:
             frame.pose.rotation.detach().cpu().numpy().copy(),
             frame.pose.translation.detach().cpu().numpy().copy(),
             None if given is None else given.detach().cpu().numpy().copy(),
+            None if frame.stereo is None else frame.stereo.baseline_m,
         )
 
     def frame(self, placed: PlacedFrame) -> Frame:
@@ -128,11 +132,18 @@ class FrameRing:
             None if given is None else torch.from_numpy(given.copy()),
             ImuSamples(**imu) if imu else None,
             placed.kind,
+            None if placed.baseline_m is None else StereoView(tensors[RIGHT], placed.baseline_m),
         )
         with torch.no_grad():
             frame.pose.rotation.copy_(torch.from_numpy(placed.rotation))
             frame.pose.translation.copy_(torch.from_numpy(placed.translation))
         return frame
+
+    def copy(self, placed: PlacedFrame) -> Frame | None:
+        """Return the frame with images of its own, for who holds nothing; None where its slot has another by now."""
+        frame = self.frame(placed)
+        frame.rgb, frame.depth = frame.rgb.clone(), None if frame.depth is None else frame.depth.clone()
+        return frame if self.is_there(placed) else None
 
     def is_there(self, placed: PlacedFrame) -> bool:
         """Say whether the slot still has this frame; who holds nothing copies first and asks afterwards."""
@@ -145,6 +156,8 @@ class FrameRing:
 
 def _tensors(frame: Frame) -> dict[str, Tensor]:
     tensors: dict[str, Any] = {"rgb": frame.rgb, "depth": frame.depth}
+    if frame.stereo is not None:
+        tensors[RIGHT] = frame.stereo.rgb
     if frame.imu is not None:
         tensors |= {f"{IMU}{name}": value for name, value in vars(frame.imu).items()}
     return {name: tensor for name, tensor in tensors.items() if tensor is not None}

@@ -53,6 +53,7 @@ class MapperProcess:
             done += 1
             self.channels.counters.mapped = done
             self.channels.event_processed.set()
+            self.channels.viz_buffer.ring()
         self._load_changes(self.channels.changes.version)
         if len(self.replica.trajectory):
             with self.profile.finishing():
@@ -83,7 +84,7 @@ class MapperProcess:
         if result is not None or cost.is_keyframe or self._version == 0:
             self._publish()
         cost.rss_mib = rss_mib()
-        changes, sent = self.replica.trajectory.take_changes(), _sent(result, self.job.is_heard)
+        changes, sent = self.replica.trajectory.take_changes(), _sent(result, self.job.with_poses)
         self.replica.record(Mapped(index, changes, cost, sent, cost.is_keyframe, self._version, self.meter.read()))
         self.replica.settle(index, cost.is_keyframe)
 

@@ -2,7 +2,7 @@
 
 import logging
 import pickle
-from contextlib import suppress
+from contextlib import closing, suppress
 from multiprocessing import get_context
 
 import torch
@@ -17,6 +17,7 @@ from xrdslam.engine.multiprocess.processes import Processes
 from xrdslam.engine.multiprocess.replica import Replica
 from xrdslam.engine.multiprocess.signals import stop_signals
 from xrdslam.engine.multiprocess.tracker import track_all
+from xrdslam.engine.multiprocess.watching import Visualizer
 from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost
 from xrdslam.engine.progress import ProgressReport
@@ -41,12 +42,13 @@ def run_multiprocess(run: Run) -> None:
         try:
             with processes.explaining():
                 processes.start_server()
-                parent = _Parent(run, channels)
+                parent = _Parent(run, channels, _start_visualizer(run, channels))
                 with ProgressReport(run.title, len(run.dataset), run.config.engine.progress) as progress:
-                    _start_workers(run, processes, parent.is_heard)
+                    _start_workers(run, processes)
                     while not parent.is_finished:
                         check()
                         processes.watch(LOOK_EVERY_S)
+                        parent.attend()
                         parent.follow(progress)
         finally:
             processes.end_workers()
@@ -56,21 +58,43 @@ def run_multiprocess(run: Run) -> None:
             channels.close()
 
 
-def _start_workers(run: Run, processes: Processes, is_heard: bool) -> None:
+def _job(run: Run, threads: int) -> Job:
+    is_watched = run.config.viewer.name != "none"
+    return Job(
+        run.config, run.dataset, run.registry, run.device, threads, run.directory.path, _is_heard(run), is_watched
+    )
+
+
+def _is_heard(run: Run) -> bool:
+    return any(run.registry.hears(hook) for hook in ("xrdslam_frame_tracked", "xrdslam_map_updated"))
+
+
+def _start_workers(run: Run, processes: Processes) -> None:
     threads = num_threads(run.config.threads)
     for role, task, share in (("tracker", track_all, threads // 2), ("mapper", map_all, threads - threads // 2)):
         own = threads if run.config.engine.sync == "strict" else max(1, share)
-        job = Job(run.config, run.dataset, run.registry, run.device, own, is_heard)
-        processes.start_worker(role, pickle.dumps(job), task)  # not multiprocessing's pickle, which shares tensors
+        job = pickle.dumps(_job(run, own))  # not multiprocessing's pickle, which shares tensors
+        processes.start_worker(role, job, task)
+
+
+def _start_visualizer(run: Run, channels: Channels) -> Visualizer | None:
+    """Start the viewer, if one was chosen; it is closed when the run is measured and everything is saved."""
+    if run.config.viewer.name == "none":
+        return None
+    visualizer = Visualizer(_job(run, threads=1), channels)
+    run.closing.enter_context(closing(visualizer))
+    run.closing.enter_context(run.registry.listening(visualizer, visualizer.name))
+    return visualizer
 
 
 class _Parent:
     """Follows what the workers do: hooks, progress, costs, and the state that is saved."""
 
-    def __init__(self, run: Run, channels: Channels) -> None:
+    def __init__(self, run: Run, channels: Channels, visualizer: Visualizer | None) -> None:
         self.run = run
         self.channels = channels
-        self.is_heard = any(run.registry.hears(hook) for hook in ("xrdslam_frame_tracked", "xrdslam_map_updated"))
+        self.visualizer = visualizer
+        self.is_heard = _is_heard(run)
         self.is_finished = False
         self._replica = Replica(run.algorithm, run.scene, channels.algorithm(), channels.frames, None, ())
         self._frames: dict[int, tuple[Tracked, Frame]] = {}
@@ -78,7 +102,6 @@ class _Parent:
         self._spent: dict[str, Spent] = {}
         self._began_s = 0.0
         self._meter = Meter()
-        self._version = 0
 
     def follow(self, progress: ProgressReport | None = None) -> None:
         """Repeat here what was recorded since the last call."""
@@ -92,6 +115,14 @@ class _Parent:
                 run = self.run
                 run.profile.finish_wall_s, run.profile.finish_cpu_s = message.finish_wall_s, message.finish_cpu_s
                 self.is_finished = True
+
+    def attend(self) -> None:
+        """Look after the viewer, and let the run begin once it is there, or not waited for."""
+        if self.visualizer is not None:
+            self.visualizer.attend()
+        if not self.channels.counters.may_begin and (self.visualizer is None or self.visualizer.is_settled):
+            self.channels.counters.may_begin = True
+            self.channels.event_processed.set()
 
     def take_over(self) -> None:
         """Take the last state that there is, whoever is alive to tell."""
@@ -128,16 +159,7 @@ class _Parent:
             progress.update(cost)
 
     def _load_map(self) -> None:
-        """Load the latest map, and what tracking changed in it since."""
-        if not len(self._replica.trajectory):
-            return
-        published = self.channels.map.read()
-        if published is not None and published.version > self._version:
-            self._version = published.version
-            self._replica.load_map(published)
-        changes = self.channels.changes.read()
-        if changes is not None and changes.base == self._version:
-            self._replica.load_changes(changes)
+        self._replica.load_latest(self.channels.map, self.channels.changes)
 
     def _account(self) -> None:
         """Add up what the processes used; the clock runs from the first frame's reading to the last refinement."""
@@ -148,3 +170,6 @@ class _Parent:
             profile.wall_s = max(s.at_s for s in workers) - self._began_s
         for process in (own, *workers):
             profile.add_process(process.cpu_s, process.peak_rss_mib)
+        if self.visualizer is not None:
+            dropped = self.channels.viz_buffer.num_dropped(self.visualizer.has_ended)
+            profile.viewer_drops = (profile.viewer_drops or 0) + dropped

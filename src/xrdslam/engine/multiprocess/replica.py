@@ -12,7 +12,7 @@ from xrdslam.core.shared_algorithm import Steps
 from xrdslam.core.trajectory import Trajectory
 from xrdslam.engine.multiprocess.frame_ring import FrameRing, Holder
 from xrdslam.engine.multiprocess.messages import Mapped, Message, Tracked, pack, unpack
-from xrdslam.engine.multiprocess.shared_state import Published, same_bits
+from xrdslam.engine.multiprocess.shared_state import Published, SharedState, same_bits
 
 __all__ = ["Replica", "SharedTrajectory", "map_state"]
 
@@ -73,6 +73,7 @@ class Replica:
         self._holder = holder
         self._own = own
         self._known = 0
+        self._version = 0
         self._pending: dict[int, tuple[Tracked, Frame | None]] = {}
         algorithm.trajectory = self.trajectory
 
@@ -118,6 +119,18 @@ class Replica:
             keyframe = self.settle(message.index, message.is_keyframe)
             if keyframe is not None:
                 self.algorithm.keyframes.append(keyframe)
+
+    def load_latest(self, maps: SharedState, changes: SharedState) -> None:
+        """Load the latest map, and what tracking changed in it since; for who only looks on."""
+        if not len(self.trajectory):
+            return
+        published = maps.read()
+        if published is not None and published.version > self._version:
+            self._version = published.version
+            self.load_map(published)
+        changed = changes.read()
+        if changed is not None and changed.base == self._version:
+            self.load_changes(changed)
 
     def load_map(self, published: Published) -> None:
         """Take over a published map and the poses of its keyframes."""

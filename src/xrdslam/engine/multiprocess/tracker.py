@@ -47,7 +47,7 @@ class TrackerProcess:
         holders = [Holder.TRACKER, Holder.MAPPER, *([Holder.PARENT] if self.job.is_heard else [])]
         ring = self.channels.frames
         counters, processed = self.channels.counters, self.channels.event_processed
-        wait_until(lambda: counters.is_up, processed)  # starting is no part of the run, in whichever process
+        wait_until(lambda: counters.is_up and counters.may_begin, processed)  # starting is no part of the run
         with closing(prefetch(ring.fill(self.job.dataset.frames(), holders), self.job.device)) as frames:
             self.meter = Meter()
             asked = time.perf_counter()
@@ -68,7 +68,7 @@ class TrackerProcess:
             placed.at(frame),
             self.replica.trajectory.take_changes(),
             cost,
-            _sent(result, self.job.is_heard),
+            _sent(result, self.job.with_poses),
             self._changes,
             self.meter.began_s,
             self.meter.read(),
@@ -76,6 +76,7 @@ class TrackerProcess:
         self.replica.hold(tracked, frame)
         self.replica.record(tracked)
         self._hand_over(frame.index)
+        self.channels.viz_buffer.put(frame.index)
 
     def _wait_for_the_map(self, may_lag: int) -> None:
         """Wait until the map is no more than some frames behind; follow what happened meanwhile."""

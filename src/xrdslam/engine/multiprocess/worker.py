@@ -3,6 +3,7 @@
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from xrdslam.core.algorithm import Algorithm, Scene
 from xrdslam.core.config import RunConfig
@@ -26,8 +27,16 @@ class Job:
     device: str
     threads: int
     """Of this process."""
+    run_dir: Path
     is_heard: bool
-    """Whether a plugin's hooks hear of frames."""
+    """Whether a plugin's hooks hear of frames, in the parent."""
+    is_watched: bool
+    """Whether a viewer does, in a process of its own."""
+
+    @property
+    def with_poses(self) -> bool:
+        """Say whether hooks want the poses that moved; everybody else has them in the trajectory."""
+        return self.is_heard or self.is_watched
 
     @property
     def scene(self) -> Scene:
