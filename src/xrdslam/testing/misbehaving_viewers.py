@@ -10,7 +10,7 @@ from xrdslam.core.config import ViewerConfig
 from xrdslam.core.errors import MissingExtraError
 from xrdslam.core.frame import Frame
 from xrdslam.core.hookspecs import hookimpl
-from xrdslam.viewer.snapshot import Watched
+from xrdslam.engine.context import Run
 
 __all__ = ["MisbehavingViewer", "MisbehavingViewerConfig"]
 
@@ -37,23 +37,23 @@ class MisbehavingViewer:
             raise MissingExtraError("viewer=misbehaving needs what nobody has")
 
     @hookimpl
-    def xrdslam_run_started(self, run: Watched) -> None:
+    def xrdslam_run_started(self, run: Run) -> None:
         """Write it down."""
         self._write(f"started {run.title}")
 
     @hookimpl
-    def xrdslam_frame_tracked(self, run: Watched, frame: Frame, result: object) -> None:
+    def xrdslam_frame_tracked(self, run: Run, frame: Frame, result: object) -> None:
         """Write it down, with how bright the frame is; misbehave."""
         self._write(f"tracked {frame.index} {float(frame.rgb.mean()):.6f} {len(run.algorithm.trajectory)}")
         self._misbehave()
 
     @hookimpl
-    def xrdslam_map_updated(self, run: Watched, frame: Frame, result: object) -> None:
+    def xrdslam_map_updated(self, run: Run, frame: Frame, result: object) -> None:
         """Write it down, with how large the map is."""
         self._write(f"mapped {frame.index} {run.algorithm.model.size}")
 
     @hookimpl
-    def xrdslam_run_finished(self, run: Watched, metrics: Mapping[str, object]) -> None:
+    def xrdslam_run_finished(self, run: Run, metrics: Mapping[str, object]) -> None:
         """Write it down."""
         self._write(f"finished {len(run.algorithm.trajectory)} {metrics['profile/frames']}")
 
