@@ -166,9 +166,9 @@ def test_a_broken_plugin_is_listed_as_such_and_answers_with_its_cause(ask: Ask, 
 
 def test_a_sweep_runs_every_combination_into_folders_of_its_own(ask: Ask, tmp_path: Path) -> None:
     small = ["algo=toy", "dataset=synthetic/room0", "dataset.frames=[0,2,1]", "dataset.size=[32,24]"]
-    answer = ask("-m", *small, "algo/tracking=toy,ground_truth", "seed=0,1", "engine.progress=false")
+    answer = ask("-m", *small, "algo/tracking=toy,ground_truth", "seed=3", "engine.progress=false", "report=false")
     assert answer.returncode == 0, answer.stderr
     configs = sorted(tmp_path.glob("outputs/sweeps/*/*/config.yaml"))
-    assert len(configs) == 4
+    assert [path.parent.name for path in configs] == ["algo-tracking=ground_truth", "algo-tracking=toy"]
     assert all(f"run_dir: {path.parent}" in path.read_text() for path in configs)
     assert not list(tmp_path.rglob(".hydra"))

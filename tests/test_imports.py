@@ -24,7 +24,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "engine": {"core", "ops", "datasets", "evaluation", "methods", "report"},
     "testing": {"core", "ops", "datasets", "evaluation", "methods", "engine", "pictures"},
     "builtin": {"core"},
-    "command_line": {"core", "datasets", "evaluation", "engine"},
+    "command_line": {"core", "datasets", "evaluation", "engine", "report"},
     "plugins": {"core", "command_line"},
     "__main__": {"command_line"},
     "hydra_plugins": {"core", "command_line"},

@@ -167,23 +167,29 @@ def test_figures_that_cannot_be_read_name_the_plugin(tmp_path: Path, monkeypatch
 
 
 def sweep(tmp_path: Path, vary: Vary) -> Path:
-    """A sweep of four of which two finished, one stopped and one never began."""
-    task = ["algo=toy,rival", "dataset=toy/room0", "seed=0,1"]
-    for name in ("0_toy_toy_room0_seed0", "1_toy_toy_room0_seed1", "2_rival_toy_room0_seed0"):
-        vary(f"sweep/{name}", seed=int(name[-1]), **(other("rival") if "rival" in name else {}))
-    (tmp_path / "sweep" / "2_rival_toy_room0_seed0" / "metrics.json").unlink()
-    OmegaConf.save(OmegaConf.create({"hydra": {"overrides": {"task": task}}}), tmp_path / "sweep" / "multirun.yaml")
-    return tmp_path / "sweep"
+    """A sweep of five of which two finished, one is not done yet, one failed half way and one was never begun."""
+    names = ("algo=toy,seed=0", "algo=toy,seed=1", "algo=rival,seed=0", "algo=rival,seed=1", "algo=rival,seed=2")
+    folder = tmp_path / "sweep"
+    for name in names[:4]:
+        run = vary(f"sweep/{name}", seed=int(name[-1]), **(other("rival") if "rival" in name else {}))
+        status = "failed" if name == "algo=rival,seed=1" else "done"
+        (run / "job.json").write_text(json.dumps({"status": status, "reason": "no disk" * (status == "failed")}))
+    (folder / "algo=rival,seed=0" / "metrics.json").unlink()
+    jobs = {name: [*name.split(","), "dataset=toy/room0"] for name in names}
+    (folder / "sweep.json").write_text(json.dumps({"call": "now", "jobs": jobs, "side_by_side": 1}))
+    return folder
 
 
 def test_a_half_finished_sweep_gives_what_there_is_and_names_the_rest(tmp_path: Path, vary: Vary) -> None:
     asked = asked_for([sweep(tmp_path, vary)])
     table = tabulated(asked.runs, asked.missing)
     assert [(row.method, row.seeds) for row in table.rows] == [("toy", (0, 1))]
-    assert len(table.missing) == 2
-    assert "2_rival_toy_room0_seed0 (rival on toy/room0, seed 0) has no figures" in table.missing[0]
-    assert table.missing[1] == "job 3 (algo=rival dataset=toy/room0 seed=1) was not started"
-    assert "Missing, 2 of the runs" in as_markdown(table)
+    assert table.missing == (
+        "algo=rival,seed=0 (rival on toy/room0, seed 0) has no figures: it runs yet or was ended",
+        "algo=rival,seed=1 (rival on toy/room0, seed 1) failed: no disk",  # though it left figures of some frames
+        "algo=rival,seed=2 (algo=rival seed=2 dataset=toy/room0) was not started",
+    )
+    assert "Missing, 3 of the runs" in as_markdown(table)
 
 
 def test_the_command_writes_every_format(tmp_path: Path, vary: Vary, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from xrdslam.command_line.groups import OVERLAYS, options
+from xrdslam.command_line.settings import CommandLineConfig
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import ConfigError
 
@@ -21,8 +22,8 @@ def run_config(cfg: DictConfig, choices: Mapping[str, str | None], run_dir: Path
     check_preset(choices)
     cfg.run_dir = str(run_dir)
     config = OmegaConf.to_object(cfg)
-    assert isinstance(config, RunConfig), "config.yaml begins with the schema of a run"
-    return config
+    assert isinstance(config, CommandLineConfig), "config.yaml begins with the schema of the command line"
+    return config.run()
 
 
 def check_preset(choices: Mapping[str, str | None]) -> None:

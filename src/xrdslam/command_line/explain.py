@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from hydra.errors import MissingConfigException
 
+from xrdslam.command_line.extras import EXTRAS
 from xrdslam.command_line.groups import options
 from xrdslam.core.errors import XrdslamError
 from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
@@ -39,6 +40,9 @@ def _missing(path: str, known: Sequence[str], registry: Registry) -> str:
     group, _, name = path.rpartition("/")
     if group in KINDS:
         return _raised(lambda: registry.get(KINDS[group], name).load_config())
+    extra = next((extra for extra in EXTRAS if group == "hydra/launcher" and name in extra.launchers), None)
+    if extra is not None:
+        return f"launcher={name} needs the extra {extra.name!r}: {extra.command}"
     if path.startswith("dataset"):
         return _missing_scene(path.removeprefix("dataset").strip("/"), registry)
     return f"no {group}={name}{_near(name, known)}"

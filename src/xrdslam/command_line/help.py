@@ -12,7 +12,9 @@ USAGE = """\
 xrdslam: dense and learned visual SLAM
 
   python -m xrdslam algo=<name> dataset=<family>/<scene> [setting=value ...]
-  python -m xrdslam -m algo=<name>,<name> dataset=... seed=0,1,2       one run per combination
+  python -m xrdslam -m algo=<name>,<name> dataset=... seed=0,1,2       a sweep: one run per combination
+      launcher=joblib sweep.jobs=4      side by side (also ray, submitit_local, submitit_slurm)
+      sweep.dir=<folder> sweep.skip_done=true      go on with a sweep: what is done is left out
   python -m xrdslam algo=<name> dataset=... --cfg job                  every setting and its value, nothing is run
   python -m xrdslam resume=<run dir>                                   go on with a run that did not end
 """

@@ -1,11 +1,10 @@
 """The command line: Hydra around one run, errors in one line."""
 
-import logging.config
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -16,15 +15,18 @@ from rich.console import Console
 
 from xrdslam.command_line.compose import run_config
 from xrdslam.command_line.explain import in_one_line
-from xrdslam.command_line.groups import CONF_GROUP, conf_packages
+from xrdslam.command_line.groups import CONF_GROUP
 from xrdslam.command_line.help import help_page
+from xrdslam.command_line.job import log_to_stderr
+from xrdslam.command_line.sweep import supervised
+from xrdslam.command_line.swept import carry_out_job
 from xrdslam.core.errors import XrdslamError
 from xrdslam.core.registry import installed
 
 if TYPE_CHECKING:
     from xrdslam import engine
 
-__all__ = ["main"]
+__all__ = ["carry_out", "main"]
 
 RESUME = "resume="
 """The one argument that Hydra does not see."""
@@ -44,7 +46,8 @@ def main() -> None:
         if any(argument.startswith(RESUME) for argument in sys.argv[1:]):
             _resume(sys.argv[1:])
         else:
-            _run()
+            with supervised():
+                hydra.main(version_base="1.3", config_path=f"pkg://{CONF_GROUP}", config_name="config")(carry_out)()
     except (XrdslamError, HydraException, OmegaConfBaseException) as error:
         if wants_traceback:
             raise
@@ -56,20 +59,25 @@ def main() -> None:
 def _resume(arguments: Sequence[str]) -> None:
     """Go on with the run that `resume=<run dir>` names; its settings are recorded, so that nothing is composed."""
     run_dir = Path(next(a for a in arguments if a.startswith(RESUME)).removeprefix(RESUME))
-    logs = OmegaConf.load(conf_packages()[CONF_GROUP] / "hydra" / "job_logging" / "xrdslam.yaml")
-    logging.config.dictConfig(cast(dict[str, Any], OmegaConf.to_object(logs)))
+    log_to_stderr()
     from xrdslam import engine
 
     _finish(engine.resume(run_dir, [a for a in arguments if not a.startswith(RESUME)]))
 
 
-@hydra.main(version_base="1.3", config_path="pkg://xrdslam.conf", config_name="config")
-def _run(cfg: DictConfig) -> None:
-    """Carry out one composed run; Hydra calls this once, or once per job of a sweep."""
-    job = HydraConfig.get()
-    run_dir = Path(job.runtime.output_dir)
+def carry_out(cfg: DictConfig) -> None:
+    """Carry out what Hydra composed: the one run of a command line, or a job of its sweep.
+
+    Public because the launchers of sweeps send it to other processes by its name.
+    """
+    hydra_config = HydraConfig.get()
+    run_dir, choices = Path(hydra_config.runtime.output_dir), hydra_config.runtime.choices
+    if not OmegaConf.is_missing(hydra_config.job, "num"):  # numbered in sweeps only
+        overrides = [str(override) for override in hydra_config.overrides.task]
+        carry_out_job(cfg, choices, run_dir, Path(hydra_config.sweep.dir), overrides)
+        return
     try:
-        config = run_config(cfg, job.runtime.choices, run_dir)
+        config = run_config(cfg, choices, run_dir)
         from xrdslam import engine  # torch and the methods: only now that everything is checked
 
         summary = engine.run(config, run_dir)

@@ -6,7 +6,9 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from xrdslam.command_line.groups import OVERLAYS, options
-from xrdslam.core.config import EngineConfig, MultiprocessConfig, RunConfig, ViewerConfig
+from xrdslam.command_line.ledger import cores, folder_name
+from xrdslam.command_line.settings import CommandLineConfig
+from xrdslam.core.config import EngineConfig, MultiprocessConfig, ViewerConfig
 from xrdslam.core.errors import PluginError
 from xrdslam.core.records import AlgorithmInfo, DatasetInfo, Info, MappingMethodInfo, TrackingMethodInfo, ViewerInfo
 from xrdslam.core.registry import BrokenPlugin, Registry
@@ -19,7 +21,7 @@ PROVIDER = "xrdslam"
 
 def store_schemas(registry: Registry) -> None:
     """Store the run's schema, one option per registered name, and one per dataset family's settings and per preset."""
-    _store("schema", "run", RunConfig)
+    _store("schema", "run", CommandLineConfig)
     _store("engine", "sequential", EngineConfig)
     _store("engine", "multiprocess", MultiprocessConfig)
     _store("evaluation", "default", EvaluationConfig)
@@ -37,7 +39,7 @@ def store_schemas(registry: Registry) -> None:
 
 
 def register_resolvers() -> None:
-    """Register what `config.yaml` says with `${xrdslam.…:}`; both see the choices made so far as `_root_`."""
+    """Register what `config.yaml` and the launchers say with `${xrdslam.…:}`; `_root_` is what was chosen so far."""
 
     def family(*, _root_: DictConfig) -> str:
         """Name the settings of the chosen dataset's family, or none."""
@@ -54,6 +56,8 @@ def register_resolvers() -> None:
     OmegaConf.register_new_resolver("xrdslam.family", family, replace=True)
     OmegaConf.register_new_resolver("xrdslam.settings", settings, replace=True)
     OmegaConf.register_new_resolver("xrdslam.preset", preset, replace=True)
+    OmegaConf.register_new_resolver("xrdslam.folder_name", folder_name, replace=True)
+    OmegaConf.register_new_resolver("xrdslam.side_by_side", lambda jobs: jobs or cores(), replace=True)
 
 
 def _choice(choices: DictConfig, group: str) -> str:

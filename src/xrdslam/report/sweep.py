@@ -1,18 +1,18 @@
-"""Which runs were asked for: folders, and the jobs of Hydra sweeps, finished or not."""
+"""Which runs were asked for: folders, and the jobs of sweeps, finished or not."""
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-from omegaconf import OmegaConf
+from typing import Any
 
 from xrdslam.core.errors import RunError
 from xrdslam.report.run_files import RunFiles, is_run, read_run, runs_in
 
 __all__ = ["Asked", "asked_for"]
 
-LEDGER = "multirun.yaml"
-"""Where Hydra writes what a sweep was asked for."""
+LEDGER, OUTCOME = "sweep.json", "job.json"
+"""Where a sweep wrote what it was asked for, and each of its jobs how it ended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,34 +34,43 @@ def asked_for(folders: Sequence[Path]) -> Asked:
             raise RunError(f"{folder}: holds no run (no config.yaml in it or below); give the run_dir of a run")
         _take(asked, found)
         if (folder / LEDGER).is_file() and not is_run(folder):
-            asked.missing.extend(_never_started(folder, found))
+            asked.missing.extend(_never_begun(folder, found))
     return asked
 
 
 def _take(asked: Asked, found: Sequence[Path]) -> None:
+    """Take runs in; those that did not come to their end have no figures that stand beside the others'."""
     for path in found:
         try:
             run = read_run(path)
         except RunError as error:
             asked.missing.append(str(error))
             continue
+        who, outcome = f"{path.name} ({run.title}, seed {run.seed})", _json(path / OUTCOME)
+        if outcome.get("status", "done") not in ("done", "running"):
+            asked.missing.append(f"{who} {_ended(outcome)}")
+            continue
         asked.runs.append(run)
         if not run.is_finished:
-            asked.missing.append(f"{path.name} ({run.title}, seed {run.seed}) has no figures: it runs yet or was ended")
+            asked.missing.append(f"{who} has no figures: it runs yet or was ended")
 
 
-def _never_started(folder: Path, found: Sequence[Path]) -> Iterator[str]:
-    started = {path.relative_to(folder).parts[0].partition("_")[0] for path in found}
-    for number, overrides in enumerate(_jobs(folder / LEDGER)):
-        if str(number) not in started:
-            yield f"job {number} ({' '.join(overrides)}) was not started"
+def _never_begun(folder: Path, found: Sequence[Path]) -> Iterator[str]:
+    for name, overrides in _json(folder / LEDGER).get("jobs", {}).items():
+        if folder / name not in found:
+            outcome = _json(folder / name / OUTCOME)
+            yield f"{name} ({' '.join(overrides)}) {_ended(outcome) if outcome else 'was not started'}"
 
 
-def _jobs(ledger: Path) -> list[list[str]]:
-    """Return the overrides of each job of a sweep, in Hydra's order."""
-    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-    from hydra.core.override_parser.overrides_parser import OverridesParser
+def _ended(outcome: dict[str, Any]) -> str:
+    reason = outcome.get("reason", "")
+    return f"{outcome.get('status')}: {reason}" if reason else f"was {outcome.get('status')}"
 
-    overrides = list(OmegaConf.load(ledger).hydra.overrides.task)
-    parsed = OverridesParser.create().parse_overrides(overrides)
-    return [job for batch in BasicSweeper.split_arguments(parsed, max_batch_size=None) for job in batch]
+
+def _json(path: Path) -> dict[str, Any]:
+    """Return what a file of a sweep says, nothing where there is none; RunError where it is damaged."""
+    try:
+        found = json.loads(path.read_text()) if path.is_file() else {}
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); remove it to do without") from error
+    return found if isinstance(found, dict) else {}
