@@ -25,6 +25,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "testing": {"core", "ops", "datasets", "evaluation", "methods", "engine", "pictures"},
     "builtin": {"core"},
     "command_line": {"core", "datasets", "evaluation", "engine", "report"},
+    "doctor": {"core", "ops", "datasets", "engine", "command_line"},
     "plugins": {"core", "command_line"},
     "__main__": {"command_line"},
     "hydra_plugins": {"core", "command_line"},

@@ -1,0 +1,1 @@
+"""Whether runs can work here: `python -m xrdslam.doctor`."""
