@@ -327,7 +327,7 @@ def begun(tmp_path: Path, registry: Registry, toy: Toy) -> Path:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda h: h.update(format=0), r"format 0, this version reads format 1"),
+        (lambda h: h.update(format=0), r"format 0, this version reads format 2"),
         (lambda h: h["distributions"].update(toy="0.9"), r"written by toy==0.9, installed is toy 1.0; `pip install"),
         (lambda h: h["distributions"].update(xrdslam="0.0.1"), r"written by xrdslam==0.0.1"),
         (lambda h: h["methods"].update({"algo/mapping": "other"}), r"algo/mapping=other, not for algo/mapping=toy"),

@@ -24,6 +24,7 @@ Common settings
   dataset=<family>/custom dataset.path=<folder>     any other scene of a known layout
   dataset.frames=[0,200,2]       start, stop, stride          dataset.size=[320,240]   width, height
   dataset.max_depth=4            metres                       dataset.on_error=skip    go on over damaged frames
+  dataset.drop=[80,110]          frames left out: a gap       algo.tracking.relocalise=true   recognise lost frames
   preset=published               or fast, where a method has it
   settings=<family>              published settings of another family than the dataset's
   seed=0  device=cpu  threads=0 (all)  run_dir=<folder>

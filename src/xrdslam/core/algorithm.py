@@ -16,9 +16,11 @@ from xrdslam.core.config import AlgorithmConfig
 from xrdslam.core.dataset import Dataset, Modality
 from xrdslam.core.errors import DataError, PluginError
 from xrdslam.core.frame import Frame
+from xrdslam.core.loss_guard import LossGuard
 from xrdslam.core.mapping import MappingMethod, MappingResult
 from xrdslam.core.model import Model
 from xrdslam.core.motion import MOTION_MODELS
+from xrdslam.core.relocalisation import Relocaliser
 from xrdslam.core.tracking import TrackingMethod, TrackingResult
 from xrdslam.core.trajectory import Trajectory
 
@@ -64,6 +66,9 @@ class Algorithm(ABC):
         self.device = torch.device(device)
         self.trajectory = Trajectory()
         self.keyframes: list[Frame] = []
+        self.guard = LossGuard(tracking.config.lost_agreement)
+        self.relocaliser: Relocaliser | None = None
+        """Who looks for lost frames (`algo.tracking.relocalise`)."""
         self.hold_out = 0
         """Every n-th frame is tracked and kept from the map (`is_held_out`); 0: none."""
 
@@ -104,6 +109,7 @@ class Algorithm(ABC):
         self._check_batches("mapping", self.mapping.config.name, self.mapping.batch_kinds)
         self.trajectory.append(frame.index, frame.timestamp_ns, pose)
         self.tracking.start(frame, pose)
+        self._remember(frame)
         return TrackingResult(pose)
 
     def first_pose(self, frame: Frame) -> Float[Tensor, "4 4"]:
@@ -121,15 +127,17 @@ class Algorithm(ABC):
         return identity
 
     def track(self, frame: Frame) -> TrackingResult:
-        """Predict, track, record. A lost frame, or one that shows nothing, keeps the prediction and is marked."""
+        """Predict, track, record. A lost frame, or one that shows nothing, keeps the prediction and is marked.
+
+        With a relocaliser, a lost frame that is recognised is tracked once more, from there.
+        """
         predicted = self.predict(frame)
-        frame.pose.set_(predicted)
         if fault := frame.fault(self.tracking.needs):
             result = TrackingResult(predicted, is_lost=True, reason=fault)
         else:
-            result = self.tracking.track(frame, self.model, self.trajectory)
-        if not result.is_lost and not bool(torch.isfinite(result.T_world_camera).all()):
-            result = result._replace(is_lost=True, reason="the pose found is not finite")
+            result = self.locate(frame, predicted)
+            if result.is_lost and self.relocaliser is not None:
+                result = self._find_again(frame, result, self.relocaliser)
         if result.is_lost:
             result = result._replace(T_world_camera=predicted, converged=False)
         frame.pose.set_(result.T_world_camera)
@@ -137,7 +145,32 @@ class Algorithm(ABC):
         self.accept(result.poses)
         if not result.is_lost:
             self.tracking.integrate(frame, result.T_world_camera)
+            self._remember(frame)
         return result
+
+    def locate(self, frame: Frame, T_world_camera: Float[Tensor, "4 4"]) -> TrackingResult:
+        """Track a frame from a pose; lost as well where what is found is not finite, or is not what the map shows."""
+        frame.pose.set_(T_world_camera)
+        result = self.tracking.track(frame, self.model, self.trajectory)
+        if not result.is_lost and not bool(torch.isfinite(result.T_world_camera).all()):
+            return result._replace(is_lost=True, reason="the pose found is not finite")
+        return self.guard.judge(frame, self.model, result)
+
+    def _find_again(self, frame: Frame, lost: TrackingResult, relocaliser: Relocaliser) -> TrackingResult:
+        """Track a lost frame from where it is recognised; what leads away from there again is not believed."""
+        found = relocaliser.find(frame, self.trajectory)
+        if found.T_world_camera is None:
+            return lost._replace(reason=f"{lost.reason}; not found again: {found.reason}")
+        again = self.locate(frame, found.T_world_camera.to(frame.rgb))
+        if again.is_lost:
+            return again._replace(reason=f"found again by {found.reason}, but lost there: {again.reason}")
+        if not relocaliser.agrees(frame, again.T_world_camera, self.trajectory):
+            again = again._replace(T_world_camera=found.T_world_camera.to(frame.rgb))
+        return again._replace(is_relocalised=True, reason=found.reason)
+
+    def _remember(self, frame: Frame) -> None:
+        if self.relocaliser is not None:
+            self.relocaliser.remember(frame, self.trajectory)
 
     def predict(self, frame: Frame) -> Float[Tensor, "4 4"]:
         """Return the motion model's guess."""
@@ -196,6 +229,8 @@ class Algorithm(ABC):
             "model": dict(self.model.state_dict()),
             "tracking": self.tracking.state_dict(),
             "mapping": self.mapping.state_dict(),
+            "guard": self.guard.state_dict(),
+            "relocaliser": self.relocaliser.state_dict() if self.relocaliser is not None else {},
         }
 
     def results_state(self) -> dict[str, dict[str, Tensor]]:
@@ -212,6 +247,9 @@ class Algorithm(ABC):
         self.load_results(state, keyframes)
         self.tracking.load_state_dict(state["tracking"])
         self.mapping.load_state_dict(state["mapping"])
+        self.guard.load_state_dict(state["guard"])
+        if self.relocaliser is not None:
+            self.relocaliser.load_state_dict(state["relocaliser"])
 
     def load_results(self, state: dict[str, dict[str, Tensor]], keyframes: Iterable[Frame]) -> None:
         """Take over the map, the trajectory and the keyframes alone: enough to look at them, not to go on."""

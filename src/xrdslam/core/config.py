@@ -33,9 +33,18 @@ def require_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
 
 @dataclass
 class TrackingConfig:
-    """What every tracking method has: the name it is registered under."""
+    """What every tracking method has: the name it is registered under, and what is done about losing the track."""
 
     name: str = "???"
+    lost_agreement: float = 0.4
+    """A frame is lost where the map, rendered at the pose found, agrees with a smaller part of its pixels than this
+    part of what is usual in the run (the median of the last tracked frames); 0 does not ask."""
+    relocalise: bool = False
+    """Look for lost frames among remembered views (`methods.relocalisation`), and let tracking go on from there."""
+
+    def __post_init__(self) -> None:
+        part = self.lost_agreement
+        require(0 <= part <= 1, "algo.tracking.lost_agreement", part, "lie between 0 and 1")
 
 
 @dataclass
@@ -71,6 +80,7 @@ class IterativeTrackingConfig(TrackingConfig):
     """Relative."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(self.iterations >= 1, "algo.tracking.iterations", self.iterations, "be at least 1")
         first = self.first_iterations
         require(first >= 0, "algo.tracking.first_iterations", first, "not be negative")

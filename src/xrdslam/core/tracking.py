@@ -17,6 +17,7 @@ from xrdslam.core.dataset import Modality
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3
 from xrdslam.core.model import Model
+from xrdslam.core.motion import has_velocity
 from xrdslam.core.optimisation import IterativeOptimisation, ParameterGroup
 from xrdslam.core.pose import OptimizablePose, PivotedPose, RotationKind
 from xrdslam.core.sampling import sample_rays
@@ -35,9 +36,11 @@ class TrackingResult(NamedTuple):
     iterations: int = 0
     loss: float = float("nan")
     reason: str = ""
-    """Why the frame is lost."""
+    """Why the frame is lost, or what finding it again rests on."""
     poses: Mapping[int, Tensor] = MappingProxyType({})
     """Earlier frames that are now believed elsewhere (odometry over a window): frame index -> T_world_camera."""
+    is_relocalised: bool = False
+    """Whether the frame had been lost and was recognised."""
 
 
 class TrackingMethod(ABC):
@@ -101,7 +104,7 @@ class TrackingProblem:
     model: Model
     pose: OptimizablePose
     is_predicted: bool = True
-    """Whether two earlier poses let the motion model predict this one."""
+    """Whether earlier poses let the motion model predict this one."""
     best_seen: float = float("inf")
     stale_iterations: int = 0
     memory: dict[str, Any] = field(default_factory=dict)
@@ -130,7 +133,7 @@ class GradientTracking(TrackingMethod, IterativeOptimisation[TrackingProblem]):
             return TrackingResult(predicted, is_lost=True, converged=False, reason="the map is empty")
         pose = self.parametrise(frame, predicted)
         with frozen(model):
-            optimum = self.optimise(TrackingProblem(frame, model, pose, len(trajectory) > 1))
+            optimum = self.optimise(TrackingProblem(frame, model, pose, has_velocity(trajectory)))
         if not optimum.is_finite:
             return TrackingResult(predicted, True, False, optimum.iterations, reason="the tracking loss is not finite")
         with torch.no_grad():

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from xrdslam.core.config import require, require_choice
+from xrdslam.core.errors import ConfigError
 
 __all__ = [
     "CoFusionConfig",
@@ -33,6 +34,8 @@ class DatasetConfig:
     """The scene's own folder; goes before `root` and `scene`."""
     frames: list[int | None] = field(default_factory=lambda: [0, None, 1])
     """Which frames of the whole sequence: start, stop, stride; a stop of null (or -1) is the end."""
+    drop: list[int] | None = None
+    """Frames of the whole sequence that are left out, [start, stop): a gap, to see what a tracker makes of it."""
     size: list[int] | None = None
     """The width and height [px] that images are resized to."""
     crop: list[int] | None = None
@@ -48,12 +51,24 @@ class DatasetConfig:
         start, stop, stride = self.frames
         allowed = (start or 0) >= 0 and (stop is None or stop >= -1) and (stride is None or stride >= 1)
         require(allowed, "dataset.frames", self.frames, must)
+        gap = self.drop is None or (len(self.drop) == 2 and 0 <= self.drop[0] < self.drop[1])
+        require(gap, "dataset.drop", self.drop, "be [start, stop], the first frame left out and the first after them")
         sized = self.size is None or (len(self.size) == 2 and min(self.size) >= 1)
         require(sized, "dataset.size", self.size, "be [width, height] in pixels, both at least 1")
         cropped = self.crop is None or (len(self.crop) == 4 and min(self.crop) >= 0)
         require(cropped, "dataset.crop", self.crop, "be [left, top, right, bottom] in pixels, none negative")
         require(self.max_depth is None or self.max_depth > 0, "dataset.max_depth", self.max_depth, "be above 0 metres")
         require_choice("dataset.on_error", self.on_error, ("raise", "skip"))
+
+    def picked(self, count: int) -> list[int]:
+        """Return which frames of a sequence of `count` are read; ConfigError where none is left."""
+        start, stop, stride = self.frames
+        gap = range(*self.drop) if self.drop is not None else ()
+        left = [number for number in range(count)[start : None if stop == -1 else stop : stride] if number not in gap]
+        if count and not left:
+            dropped = f" and dataset.drop={self.drop}" if self.drop is not None else ""
+            raise ConfigError(f"dataset.frames={self.frames}{dropped} picks none of the {count} frames")
+        return left
 
 
 @dataclass

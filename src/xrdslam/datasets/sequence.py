@@ -71,7 +71,7 @@ class RgbdSequence(Dataset):
     ) -> None:
         """Take all records of a sequence, before `dataset.frames`, and the faults of the sequence as a whole."""
         self.on_error = "skip" if config.on_error == "skip" else "raise"
-        self.records = _selected(records, config.frames, name)
+        self.records = _selected(records, config, name)
         self.faults = tuple(faults)
         self.source = source
         self._fit = ImageFit(
@@ -182,13 +182,13 @@ class RgbdSequence(Dataset):
             )
 
 
-def _selected(records: Sequence[Record], frames: Sequence[int | None], name: str) -> list[Record]:
-    """Apply `dataset.frames`; a stop behind the end is the end, said in the log."""
-    start, stop, stride = frames
-    stop = None if stop == -1 else stop
-    picked = list(records[start:stop:stride])
-    if records and not picked:
-        raise ConfigError(f"dataset.frames={list(frames)} picks none of the {len(records)} frames of {name}")
+def _selected(records: Sequence[Record], config: DatasetConfig, name: str) -> list[Record]:
+    """Apply `dataset.frames` and `dataset.drop`; a stop behind the end is the end, said in the log."""
+    try:
+        picked = config.picked(len(records))
+    except ConfigError as error:
+        raise ConfigError(f"{error} of {name}") from error
+    stop = config.frames[1]
     if stop is not None and stop > len(records):
-        log.warning("dataset.frames=%s: %s ends after %d frames", list(frames), name, len(records))
-    return picked
+        log.warning("dataset.frames=%s: %s ends after %d frames", list(config.frames), name, len(records))
+    return [records[number] for number in picked]

@@ -12,7 +12,7 @@ from xrdslam.core.registry import Registry
 
 __all__ = ["FORMAT", "authorship", "check_authorship", "check_format"]
 
-FORMAT = 1
+FORMAT = 2
 """Raised with every change of what a saved state holds; another number is refused."""
 log = logging.getLogger(__name__)
 

@@ -10,6 +10,7 @@ from xrdslam.core.config import AlgorithmConfig, RunConfig
 from xrdslam.core.dataset import Dataset
 from xrdslam.core.errors import ConfigError
 from xrdslam.core.registry import Registry, installed
+from xrdslam.methods.relocalisation import OrbRelocaliser
 
 __all__ = ["algorithm_of", "build_algorithm", "build_dataset", "current_accelerator", "resolve_device", "settings_of"]
 
@@ -31,12 +32,14 @@ def build_algorithm(
     `hold_out` keeps every n-th frame from the map (`evaluation.held_out`).
     """
     registry = registry or installed()
-    seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(2)]
+    seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(3)]
     tracking = registry.tracking_method(config.tracking.name).load()(config.tracking, seed=seeds[0])
     mapping = registry.mapping_method(config.mapping.name).load()(config.mapping, seed=seeds[1])
     algorithm = registry.algorithm(config.name).load()(config, tracking, mapping, device)
     assert isinstance(algorithm, Algorithm), f"{type(algorithm).__name__} is no Algorithm"
     algorithm.hold_out = hold_out
+    if config.tracking.relocalise:
+        algorithm.relocaliser = OrbRelocaliser(seeds[2])
     return algorithm
 
 

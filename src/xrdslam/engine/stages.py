@@ -22,6 +22,7 @@ class Tracker:
         self.algorithm = algorithm
         self.scene = scene
         self.profile = profile
+        self._num_lost = 0
 
     def step(self, frame: Frame, cost: FrameCost) -> TrackingResult:
         """Track a frame; the first one sets the world."""
@@ -29,11 +30,21 @@ class Tracker:
             is_first = len(self.algorithm.trajectory) == 0
             result = self.algorithm.start(self.scene, frame) if is_first else self.algorithm.track(frame)
         cost.tracking_iterations = result.iterations
-        cost.is_lost = result.is_lost
-        if result.is_lost:
-            reason = result.reason or "no reason given"
-            log.warning("frame %d is lost (%s); its predicted pose is kept", frame.index, reason)
+        cost.is_lost, cost.is_relocalised = result.is_lost, result.is_relocalised
+        self._tell(frame, result)
         return result
+
+    def _tell(self, frame: Frame, result: TrackingResult) -> None:
+        """Say of the first of a row of lost frames that it is lost, of the others for those who want to know."""
+        if result.is_lost:
+            level = logging.INFO if self._num_lost else logging.WARNING
+            reason = result.reason or "no reason given"
+            log.log(level, "frame %d is lost (%s); its predicted pose is kept", frame.index, reason)
+            self._num_lost += 1
+        elif self._num_lost or result.is_relocalised:
+            how = f"recognised by {result.reason}" if result.is_relocalised else "tracked"
+            log.warning("frame %d is %s after %d lost frames", frame.index, how, self._num_lost)
+            self._num_lost = 0
 
 
 class Mapper:

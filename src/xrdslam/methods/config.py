@@ -18,6 +18,7 @@ class GroundTruthTrackingConfig(TrackingConfig):
     """The data's own poses."""
 
     name: str = "ground_truth"
+    lost_agreement: float = 0.0
 
 
 @dataclass
@@ -25,6 +26,7 @@ class ConstantVelocityTrackingConfig(TrackingConfig):
     """The prediction itself, whatever the image shows."""
 
     name: str = "constant_velocity"
+    lost_agreement: float = 0.0
 
 
 @dataclass
@@ -71,6 +73,7 @@ class GicpTrackingConfig(TrackingConfig):
     """... or when less of the scan than this lies in the map."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         counts = {"columns": 1, "num_neighbours": 5, "max_iterations": 1, "min_points": 10}
         for key, least in counts.items():
             require(getattr(self, key) >= least, f"algo.tracking.{key}", getattr(self, key), f"be at least {least}")

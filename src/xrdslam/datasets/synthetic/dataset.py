@@ -51,8 +51,7 @@ class SyntheticDataset(Dataset):
         self.scene = build_room(self.config.scene, self.config.seed)
         self._packed = self.scene.pack()
         self._light_key = content_key(VERSION, self._packed.digest(), dataclasses.astuple(self._lighting))
-        start, stop, stride = self.config.frames
-        numbers = range(self.config.num_frames)[start : None if stop == -1 else stop : stride]
+        numbers = self.config.picked(self.config.num_frames)
         has_arrived = arrived(self.config.num_frames, self.config.sensor, self.config.seed)
         self._picked = [number for number in numbers if has_arrived[number]]
         if not self._picked:
