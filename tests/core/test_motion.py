@@ -58,6 +58,13 @@ def test_found_again_the_camera_stays_until_its_velocity_is_known() -> None:
     torch.testing.assert_close(constant_velocity(trajectory), there @ STEP @ STEP, rtol=0, atol=4e-15)
 
 
+def test_recognised_at_once_the_jump_is_no_velocity_either() -> None:
+    trajectory = moving(3)
+    trajectory.append(3, 3, trajectory.pose(2) @ STEP @ STEP @ STEP, is_recognised=True)
+    assert not has_velocity(trajectory)
+    assert torch.equal(constant_velocity(trajectory), trajectory.pose(3))
+
+
 def test_lost_the_camera_comes_to_rest() -> None:
     """1/2 + 1/4 + ... of a step beyond the first lost frame's prediction, along the axes of the motion itself."""
     trajectory = moving(2)

@@ -141,7 +141,9 @@ class Algorithm(ABC):
         if result.is_lost:
             result = result._replace(T_world_camera=predicted, converged=False)
         frame.pose.set_(result.T_world_camera)
-        self.trajectory.append(frame.index, frame.timestamp_ns, result.T_world_camera, result.is_lost)
+        self.trajectory.append(
+            frame.index, frame.timestamp_ns, result.T_world_camera, result.is_lost, result.is_recognised
+        )
         self.accept(result.poses)
         if not result.is_lost:
             self.tracking.integrate(frame, result.T_world_camera)
@@ -166,7 +168,7 @@ class Algorithm(ABC):
             return again._replace(reason=f"found again by {found.reason}, but lost there: {again.reason}")
         if not relocaliser.agrees(frame, again.T_world_camera, self.trajectory):
             again = again._replace(T_world_camera=found.T_world_camera.to(frame.rgb))
-        return again._replace(is_relocalised=True, reason=found.reason)
+        return again._replace(is_recognised=True, reason=found.reason)
 
     def _remember(self, frame: Frame) -> None:
         if self.relocaliser is not None:

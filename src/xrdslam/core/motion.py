@@ -46,7 +46,7 @@ def has_velocity(trajectory: Trajectory) -> bool:
     if len(trajectory) < 2:
         return False
     before, last = trajectory.indices[-2:]
-    return trajectory.lost(last) or not trajectory.lost(before)
+    return trajectory.lost(last) or not (trajectory.lost(before) or trajectory.recognised(last))
 
 
 MOTION_MODELS: dict[str, Callable[[Trajectory], Tensor]] = {"none": stay, "constant_velocity": constant_velocity}

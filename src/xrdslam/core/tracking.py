@@ -39,7 +39,7 @@ class TrackingResult(NamedTuple):
     """Why the frame is lost, or what finding it again rests on."""
     poses: Mapping[int, Tensor] = MappingProxyType({})
     """Earlier frames that are now believed elsewhere (odometry over a window): frame index -> T_world_camera."""
-    is_relocalised: bool = False
+    is_recognised: bool = False
     """Whether the frame had been lost and was recognised."""
 
 

@@ -19,6 +19,7 @@ class _Entry:
     anchor: int
     T_anchor_frame: Tensor
     is_lost: bool
+    is_recognised: bool = False
 
 
 class Trajectory:
@@ -58,18 +59,35 @@ class Trajectory:
         """Which frames are lost."""
         return torch.tensor([entry.is_lost for entry in self._entries.values()], dtype=torch.bool)
 
+    def recognised(self, index: int) -> bool:
+        """Say whether tracking had failed and the place was recognised: a jump from the frame before, no motion."""
+        return self._entries[index].is_recognised
+
+    @property
+    def is_recognised(self) -> Bool[Tensor, " n"]:
+        """Which frames were recognised."""
+        return torch.tensor([entry.is_recognised for entry in self._entries.values()], dtype=torch.bool)
+
     @property
     def timestamps_ns(self) -> Int64[Tensor, " n"]:
         """When the frames were taken."""
         return torch.tensor([entry.timestamp_ns for entry in self._entries.values()], dtype=torch.int64)
 
-    def append(self, index: int, timestamp_ns: int, T_world_camera: Tensor, is_lost: bool = False) -> None:
+    def append(
+        self,
+        index: int,
+        timestamp_ns: int,
+        T_world_camera: Tensor,
+        is_lost: bool = False,
+        is_recognised: bool = False,
+    ) -> None:
         """Add a tracked frame; it hangs on the latest keyframe."""
         if index in self._entries:
             raise ValueError(f"frame {index} is in the trajectory already")
         pose = _exact(T_world_camera)
         anchor = index if self._anchor is None else self._anchor
-        self._entries[index] = _Entry(timestamp_ns, pose, index, torch.eye(4, dtype=torch.float64), is_lost)
+        nowhere = torch.eye(4, dtype=torch.float64)
+        self._entries[index] = _Entry(timestamp_ns, pose, index, nowhere, is_lost, is_recognised)
         self._hang(index, anchor, pose)
 
     def make_keyframe(self, index: int) -> None:
@@ -138,6 +156,7 @@ class Trajectory:
             "anchors": torch.tensor([e.anchor for e in entries], dtype=torch.int64),
             "T_anchor_frame": _stack([e.T_anchor_frame for e in entries]),
             "is_lost": torch.tensor([e.is_lost for e in entries], dtype=torch.bool),
+            "is_recognised": torch.tensor([e.is_recognised for e in entries], dtype=torch.bool),
             "anchor": torch.tensor(-1 if self._anchor is None else self._anchor),
         }
 
@@ -151,9 +170,9 @@ class Trajectory:
 
         Without `anchor` in it, what later frames hang on stays too.
         """
-        keys = ("indices", "timestamps_ns", "online", "anchors", "T_anchor_frame", "is_lost")
-        for index, stamp, online, anchor, relative, lost in zip(*(state[k] for k in keys), strict=True):
-            self._entries[int(index)] = _Entry(int(stamp), online, int(anchor), relative, bool(lost))
+        keys = ("indices", "timestamps_ns", "online", "anchors", "T_anchor_frame", "is_lost", "is_recognised")
+        for index, stamp, online, anchor, relative, *flags in zip(*(state[k] for k in keys), strict=True):
+            self._entries[int(index)] = _Entry(int(stamp), online, int(anchor), relative, *map(bool, flags))
         if "anchor" in state:
             self._anchor = None if int(state["anchor"]) < 0 else int(state["anchor"])
 

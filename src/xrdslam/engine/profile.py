@@ -45,7 +45,6 @@ class FrameCost:
     tracking_cpu_ms: float = 0.0
     mapping_cpu_ms: float = 0.0
     is_lost: bool = False
-    is_relocalised: bool = False
     is_keyframe: bool = False
 
 

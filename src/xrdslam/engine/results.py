@@ -112,7 +112,7 @@ def trajectories_of(run: Run) -> Trajectories:
         final=trajectory.current().numpy(),
         ground_truth=truth if np.isfinite(truth).all((1, 2)).any() else None,
         is_lost=trajectory.is_lost.numpy(),
-        num_relocalised=sum(cost.is_relocalised for cost in run.profile.frames),
+        num_recognised=int(trajectory.is_recognised.sum()),
         indices=indices,
         is_held_out=np.array([run.algorithm.is_held_out(index) for index in indices]),
         sequence_frames=len(run.dataset),

@@ -30,7 +30,7 @@ class Tracker:
             is_first = len(self.algorithm.trajectory) == 0
             result = self.algorithm.start(self.scene, frame) if is_first else self.algorithm.track(frame)
         cost.tracking_iterations = result.iterations
-        cost.is_lost, cost.is_relocalised = result.is_lost, result.is_relocalised
+        cost.is_lost = result.is_lost
         self._tell(frame, result)
         return result
 
@@ -41,8 +41,8 @@ class Tracker:
             reason = result.reason or "no reason given"
             log.log(level, "frame %d is lost (%s); its predicted pose is kept", frame.index, reason)
             self._num_lost += 1
-        elif self._num_lost or result.is_relocalised:
-            how = f"recognised by {result.reason}" if result.is_relocalised else "tracked"
+        elif self._num_lost or result.is_recognised:
+            how = f"recognised by {result.reason}" if result.is_recognised else "tracked"
             log.warning("frame %d is %s after %d lost frames", frame.index, how, self._num_lost)
             self._num_lost = 0
 

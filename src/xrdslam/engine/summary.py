@@ -14,7 +14,7 @@ ROWS = (
     ("trajectory/final/rpe_translation_rmse_cm", "RPE, translation", "cm", 3),
     ("trajectory/final/rpe_rotation_rmse_deg", "RPE, rotation", "deg", 3),
     ("trajectory/lost_frames", "frames lost", "", 0),
-    ("trajectory/relocalised_frames", "frames lost and recognised", "", 0),
+    ("trajectory/recognised_frames", "frames lost and recognised", "", 0),
     ("rendering/train/psnr_db", "PSNR, training views", "dB", 2),
     ("rendering/train/ssim", "SSIM", "", 4),
     ("rendering/train/ms_ssim", "MS-SSIM", "", 4),

@@ -25,7 +25,7 @@ class Trajectories:
     ground_truth: AnyPoses | None = None
     is_lost: Bool[NDArray[np.bool_], " _"] | None = None
     """Frames that kept a predicted pose because tracking failed."""
-    num_relocalised: int | None = None
+    num_recognised: int | None = None
     """Frames that were lost and recognised at once."""
     indices: Sequence[int] | None = None
     """The frame index of each row; None: row i is frame i."""

@@ -48,7 +48,7 @@ def coverage_group(trajectories: Trajectories) -> MetricGroup:
             "lost": "tracking failed, the predicted pose was kept",
             "lost_percent": "of the frames that were processed",
             "coverage": "frames with a pose that were not lost, of all frames of the sequence",
-            "relocalised": "tracking failed, the frame was recognised and tracked from there: not counted as lost",
+            "recognised": "tracking failed, the frame was recognised and tracked from there: not counted as lost",
             "held_out_frames": len(trajectories.held_out),
         },
     )
@@ -58,8 +58,8 @@ def coverage_group(trajectories: Trajectories) -> MetricGroup:
     lost = int(trajectories.is_lost.sum())
     tracked = int((is_finite(trajectories.final) & ~trajectories.is_lost).sum())
     group.add("lost_frames", lost)
-    if trajectories.num_relocalised is not None:
-        group.add("relocalised_frames", trajectories.num_relocalised)
+    if trajectories.num_recognised is not None:
+        group.add("recognised_frames", trajectories.num_recognised)
     for key, part, whole in (("lost_percent", lost, processed), ("coverage_percent", tracked, total)):
         group.add(key, 100 * part / whole if whole else float("nan"), "there are no frames")
     return group

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -44,6 +44,8 @@ RIVAL = 0.6
 SAME_M, SAME_RAD = 0.25, 0.25
 """Poses that are as near as this are one."""
 ICP_VOXELS_M = (0.3, 0.1)
+MIN_REPROJECTED = 0.8
+"""Share of the matches that must still lie within twice the tolerance after ICP, which slides along plain walls."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,27 @@ class _Hypothesis:
 
     view: View
     T_view_frame: Float64[np.ndarray, "4 4"]
-    num_inliers: int
+    points_view: Float64[np.ndarray, "n 3"]
+    """The matches that it explains: points of the view, ..."""
+    pixels: Float64[np.ndarray, "n 2"]
+    """... and where the frame has them [px of its working image]."""
+
+    @property
+    def num_inliers(self) -> int:
+        """How many matches it explains."""
+        return len(self.pixels)
+
+    def at(self, T_view_frame: Float64[np.ndarray, "4 4"]) -> "_Hypothesis":
+        """Return the same evidence for another pose."""
+        return replace(self, T_view_frame=T_view_frame)
+
+    def reprojected(self, camera: Camera, tolerance_px: float) -> float:
+        """Return the share of its matches that lie within a tolerance of where the pose puts them."""
+        T_frame_view = np.linalg.inv(self.T_view_frame)
+        points = self.points_view @ T_frame_view[:3, :3].T + T_frame_view[:3, 3]
+        pixels, z = working_camera(camera).project(torch.from_numpy(points))
+        off_px = np.linalg.norm(pixels.numpy() - self.pixels, axis=1)
+        return float(((off_px < tolerance_px) & (z.numpy() > 0)).mean())
 
     def in_world(self, trajectory: Trajectory) -> Float64[np.ndarray, "4 4"]:
         pose: np.ndarray = trajectory.pose(self.view.index).numpy() @ self.T_view_frame
@@ -119,7 +141,7 @@ class OrbRelocaliser(Relocaliser):
 
     def _suggest(self, view: View, features: Features, camera: Camera) -> _Hypothesis:
         """Return the pose that most matches with a view agree on; without one, with no inliers."""
-        nothing = _Hypothesis(view, np.eye(4), 0)
+        nothing = _Hypothesis(view, np.eye(4), np.empty((0, 3)), np.empty((0, 2)))
         pairs = match(features, view.features)
         if len(pairs) < MIN_INLIERS:
             return nothing
@@ -137,15 +159,17 @@ class OrbRelocaliser(Relocaliser):
             confidence=0.9999,
             flags=cv2.SOLVEPNP_EPNP,
         )
-        if not is_found or inliers is None or len(inliers) < MIN_INLIERS:
-            return _Hypothesis(view, np.eye(4), 0 if inliers is None else len(inliers))
+        if not is_found or inliers is None:
+            return nothing
         rows = inliers[:, 0]
+        if len(rows) < MIN_INLIERS:
+            return _Hypothesis(view, np.eye(4), points[rows], pixels[rows])
         if len(rows) < MIN_INLIER_SHARE * len(pairs) or pixels[rows].std(0).min() < MIN_SPREAD * working.width:
             return nothing
         rotation, translation = cv2.solvePnPRefineLM(points[rows], pixels[rows], matrix, None, rotation, translation)
         T_frame_view = np.eye(4)
         T_frame_view[:3, :3], T_frame_view[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
-        return _Hypothesis(view, np.linalg.inv(T_frame_view), len(rows))
+        return _Hypothesis(view, np.linalg.inv(T_frame_view), points[rows], pixels[rows])
 
     def _judge(
         self, frame: Frame, surface: Float32[np.ndarray, "m 3"], sound: list[_Hypothesis], trajectory: Trajectory
@@ -162,7 +186,8 @@ class OrbRelocaliser(Relocaliser):
                     None, f"frames {best.view.index} and {other.view.index} show two places that look alike"
                 )
         refined = _refine(best, surface)
-        if _is_seen(depth_agreement(frame, best.view.surface, refined.T_view_frame)):
+        is_sound = refined.reprojected(frame.camera, 2 * REPROJECTION_PX) >= MIN_REPROJECTED
+        if is_sound and _is_seen(depth_agreement(frame, best.view.surface, refined.T_view_frame)):
             best = refined
         self._found = frame.index, best.view
         reason = f"frame {best.view.index} ({best.num_inliers} points agree)"
@@ -223,4 +248,4 @@ def _refine(found: _Hypothesis, surface: Float32[np.ndarray, "m 3"]) -> _Hypothe
     pose = result.T_world_camera
     if not np.isfinite(pose).all() or not _is_same(pose, found.T_view_frame):
         return found
-    return _Hypothesis(found.view, pose, found.num_inliers)
+    return found.at(pose)
