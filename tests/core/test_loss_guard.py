@@ -10,7 +10,7 @@ from xrdslam.core.config import TrackingConfig
 from xrdslam.core.errors import ConfigError
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3, so3
-from xrdslam.core.loss_guard import MEMORY, MIN_MEMORY, LossGuard, agreement
+from xrdslam.core.loss_guard import COLUMNS, MEMORY, MIN_MEMORY, LossGuard, agreement
 from xrdslam.core.model import Model, Rendering
 from xrdslam.core.tracking import TrackingResult
 from xrdslam.testing import ToyModel, toy_algorithm, toy_sequence
@@ -75,13 +75,13 @@ def test_without_depth_colour_decides() -> None:
 def test_every_nth_pixel_is_asked_at_its_own_centre() -> None:
     """The exact map of the toy room agrees to the last pixel, whatever the step."""
     model = ToyModel.exact()
-    for width in (40, 80, 200, 333):
+    for width in (80, 160, 320, 333):
         dataset = toy_sequence(1, width, width * 3 // 4, num_balls=0)
         frame = dataset[0]
         assert frame.depth is not None
         assert agreement(frame, model, dataset.poses[0]) == 1
         frame.depth[1::2] *= 2  # rows between the asked ones, at most
-        if round(width / 40) % 2 == 0:
+        if round(width / COLUMNS["image"]) % 2 == 0:
             assert agreement(frame, model, dataset.poses[0]) == 1
 
 

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from xrdslam.core.batch import BatchKind
 from xrdslam.core.camera import Camera
 from xrdslam.core.frame import Frame
 from xrdslam.core.model import Model
@@ -14,8 +15,9 @@ from xrdslam.core.tracking import TrackingResult
 
 __all__ = ["LossGuard", "agreement"]
 
-COLUMNS = 40
-"""Of the small image that is rendered to ask: some milliseconds for any map."""
+COLUMNS: dict[BatchKind, int] = {"image": 80, "rays": 24}
+"""Of the small image that is rendered to ask. Maps that are read by rays pay for each; those that are drawn as a whole
+pay for their primitives, and blur in an image that is too small."""
 RELATIVE_TOLERANCE = 0.05
 """Depths agree within this part of the measured one: a Kinect's noise at 4 m, ten times that of rendered depth."""
 COLOUR_TOLERANCE = 0.1
@@ -33,7 +35,7 @@ def agreement(frame: Frame, model: Model, T_world_camera: Float[Tensor, "4 4"]) 
 
     Every n-th pixel of the frame is asked. Depth decides where the frame has one, colour otherwise.
     """
-    step = max(1, round(frame.camera.width / COLUMNS))
+    step = max(1, round(frame.camera.width / COLUMNS[model.batch_kind]))
     with torch.no_grad():
         image = model.render(_thinned(frame.camera, step), T_world_camera.to(frame.rgb))
         shown = (image.opacity > 0.5) & (image.depth > 0)

@@ -1,0 +1,96 @@
+"""`python -m benchmarks.lost [--gap A B] [--methods ...] setting=value ...`: what a gap in a sequence does to methods.
+
+Each method runs with the frames A to B left out, without and with `algo.tracking.relocalise`. The trajectory is aligned
+to the ground truth by the frames before the gap alone, so that the error behind it says whether the camera was found in
+the same world. `setting=value` choose the sequence, as on the command line of a run.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from xrdslam.evaluation.alignment import umeyama
+from xrdslam.evaluation.trajectory_files import read_tum
+
+__all__ = ["Outcome", "outcome"]
+
+METHODS = {
+    "splatam": ["algo=splatam", "preset=fast"],
+    "co_slam": ["algo=co_slam", "preset=fast"],
+    "gicp": ["algo=splatam", "algo/tracking=gicp", "preset=fast"],
+}
+
+
+class Outcome(NamedTuple):
+    """How a run came through the gap."""
+
+    before_cm: float
+    """RMSE of the camera centres before the gap, after the alignment by them."""
+    after_cm: float
+    """And behind it, every frame, lost or not."""
+    last_cm: float
+    """And of the last ten frames."""
+    lost: int
+    recognised: int
+    first_lost: int | None
+    frames_per_second: float
+
+    def row(self) -> str:
+        """Return the figures as a row of a Markdown table."""
+        first = "-" if self.first_lost is None else str(self.first_lost)
+        figures = (f"{self.before_cm:.2f}", f"{self.after_cm:.2f}", f"{self.last_cm:.2f}")
+        return " | ".join((*figures, str(self.lost), first, str(self.recognised), f"{self.frames_per_second:.2f}"))
+
+
+HEADING = (
+    "| method | relocalise | before the gap [cm] | after [cm] | last ten [cm] | frames lost | first lost | recognised "
+    "| frames/s |\n|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def outcome(run_dir: Path, gap: int) -> Outcome:
+    """Read off a run's files what happened at row `gap` of its trajectory, the first frame behind the gap."""
+    estimate, truth = (read_tum(run_dir / "trajectory" / f"{name}.txt") for name in ("final", "ground_truth"))
+    found, true = (side.T_world_camera[:, :3, 3] for side in (estimate, truth))
+    aligned = umeyama(found[:gap], true[:gap], with_scale=False)
+    off_cm = 100 * np.linalg.norm(found @ aligned.rotation.T + aligned.translation - true, axis=1)
+    metrics = json.loads((run_dir / "metrics.json").read_text())
+    lost = json.loads((run_dir / "keyframes.json").read_text())["lost_frames"]
+    parts = (off_cm[:gap], off_cm[gap:], off_cm[-10:])
+    return Outcome(
+        *(float(np.sqrt((part**2).mean())) for part in parts),
+        lost=len(lost),
+        recognised=metrics["trajectory/recognised_frames"],
+        first_lost=min(lost, default=None),
+        frames_per_second=metrics["profile/frames_per_second"],
+    )
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lost", description=__doc__)
+    parser.add_argument("settings", nargs="*", metavar="setting=value", help="of the sequence, and what else")
+    parser.add_argument("--gap", nargs=2, type=int, default=[85, 115], metavar=("A", "B"), help="frames left out")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--out", type=Path, default=Path("outputs/lost"), help="where the runs go")
+    parser.add_argument("--first", type=int, default=0, help="the first frame that is read (dataset.frames)")
+    options = parser.parse_args()
+    start, stop = options.gap
+    print(HEADING, flush=True)
+    for method in options.methods:
+        for relocalises in ("false", "true"):
+            folder = options.out / f"{method}_{relocalises}"
+            command = [sys.executable, "-m", "xrdslam", *METHODS[method], *options.settings]
+            command += [f"dataset.frames=[{options.first},null,1]", f"dataset.drop=[{start},{stop}]"]
+            command += [f"algo.tracking.relocalise={relocalises}", "engine.progress=false", f"run_dir={folder}"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            print(f"| {method} | {relocalises} | {outcome(folder, start - options.first).row()} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
