@@ -13,7 +13,8 @@ from xrdslam.core.frame import Frame
 __all__ = ["Features", "detect", "match", "working_camera"]
 
 WIDTH = 640
-"""Width [px] that images are brought to, so that corners and their errors mean the same at every size."""
+"""Width [px] that images are brought to, so that corners and their errors mean the same at every size; no image is
+made larger than twice: that would be larger corners of the same few pixels."""
 NUM_FEATURES = 1000
 STRONGEST = 400
 """Features that a first, quick comparison looks at."""
@@ -23,7 +24,7 @@ RATIO = 0.8
 
 @dataclass(frozen=True)
 class Features:
-    """Corners, the strongest first; descriptors, pixels [px] of the image at `WIDTH`, camera-frame points [m]."""
+    """Corners, the strongest first; descriptors, pixels [px] of the working image, camera-frame points [m]."""
 
     descriptors: UInt8[np.ndarray, "n 32"]
     pixels: Float32[np.ndarray, "n 2"]
@@ -40,8 +41,9 @@ class Features:
 
 
 def working_camera(camera: Camera) -> Camera:
-    """Return the camera of a frame's image at `WIDTH`."""
-    return camera.resized(WIDTH, max(1, round(camera.height * WIDTH / camera.width)))
+    """Return the camera of a frame's image at `WIDTH`, or at twice its size."""
+    width = min(WIDTH, 2 * camera.width)
+    return camera.resized(width, max(1, round(camera.height * width / camera.width)))
 
 
 def detect(frame: Frame) -> Features:

@@ -32,7 +32,7 @@ MIN_INLIER_SHARE = 0.25
 MIN_SPREAD = 0.06
 """... spread over the image with at least this standard deviation in both directions, in parts of its width."""
 REPROJECTION_PX = 3.0
-"""How far a match may be off, at a width of 640 px."""
+"""How far a match may be off in the working image."""
 ITERATIONS = 1000
 """Draws of RANSAC."""
 MIN_OVERLAP = 0.15
