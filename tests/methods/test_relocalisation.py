@@ -227,7 +227,7 @@ def test_hidden_surfaces_say_nothing_and_missing_ones_contradict() -> None:
 
 
 def test_corners_are_matched_at_any_size() -> None:
-    """Images are brought to one width: the same view at half the size has the same corners, by and large."""
+    """The same view at half the size has the same corners, by and large, to a pixel of its own."""
     frame = view(WALK[4])
     assert frame.depth is not None
     small = CAMERA.resized(160, 120)
@@ -236,8 +236,9 @@ def test_corners_are_matched_at_any_size() -> None:
     whole, part = detect(frame), detect(half)
     pairs = match(whole, part)
     assert len(pairs) > 100
-    off = np.linalg.norm(whole.pixels[pairs[:, 0]] - part.pixels[pairs[:, 1]], axis=1)
-    assert np.median(off) < 2
+    enlarged = (part.pixels[pairs[:, 1]] + 0.5) * 2 - 0.5  # the working images are of 640 and 320 px
+    off = np.linalg.norm(whole.pixels[pairs[:, 0]] - enlarged, axis=1)
+    assert np.median(off) < 4
 
 
 def test_memory_is_bounded_and_spread(monkeypatch: pytest.MonkeyPatch) -> None:
