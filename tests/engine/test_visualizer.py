@@ -70,6 +70,19 @@ def test_a_viewer_that_hangs_loses_frames_and_the_run_nothing(
     assert warnings(caplog) == ["viewer=misbehaving does not close within 0.5 s; it is ended"]
 
 
+def test_a_viewer_that_raises_is_not_called_again_and_async_without_a_lag_gives_the_sequential_bits(
+    tmp_path: Path, unwatched: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    engine = MultiprocessConfig(progress=False, sync="async", max_lag=0)
+    found = run(toy_config(engine, viewer=viewer(tmp_path, "raises")), tmp_path, toy_registry())
+    assert found.exit_status == 0
+    assert_same_results(unwatched, tmp_path)
+    assert found.metrics["profile/viewer_drops"] in (5, 6), "the last one may still be in the buffer"
+    (said,) = warnings(caplog)
+    assert "hook xrdslam_frame_tracked of viewer=misbehaving raised ZeroDivisionError" in said
+    assert "finished 6 6.0" in heard(tmp_path)
+
+
 class Killer:
     """Kills the visualizer when frame 2 is tracked."""
 

@@ -181,12 +181,15 @@ class MultiprocessConfig(EngineConfig):
     sync: str = "strict"
     """`strict`: turn by turn, the sequential engine's very result; `async`: tracking goes ahead of mapping."""
     max_lag: int = 5
-    """With `async`: how many tracked frames may wait for the mapper."""
-    checkpoint_every: int = 0
+    """With `async`: how many tracked frames may wait for the mapper; with 0 it is `strict`."""
+
+    @property
+    def is_strict(self) -> bool:
+        """Whether every frame is tracked against the map that holds all before it."""
+        return self.sync == "strict" or self.max_lag == 0
 
     def __post_init__(self) -> None:
-        every = self.checkpoint_every
-        require(every == 0, "engine.checkpoint_every", every, "be 0: only engine=sequential writes checkpoints")
+        super().__post_init__()
         require_choice("engine.sync", self.sync, ("strict", "async"))
         require(self.max_lag >= 0, "engine.max_lag", self.max_lag, "not be negative")
 

@@ -1,7 +1,7 @@
 """Checkpoints: what a run was after one of its frames, in a file, so that a resumed run goes on with the same bits."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -54,16 +54,18 @@ class Checkpoints:
         if self._is_whole and len(trajectory) and trajectory.indices[-1] != self._saved_after:
             self.save()
 
-    def save(self) -> None:
-        """Write the state; where the disk refuses, say so and go on: the run itself has lost nothing."""
+    def save(self, state: Mapping[str, object] | None = None, drawn: Mapping[str, object] | None = None) -> None:
+        """Write the state; where the disk refuses, say so and go on: the run itself has lost nothing.
+
+        `state` is the algorithm's and `drawn` says where random numbers are, both of this process if not given.
+        """
         last = self.run.algorithm.trajectory.indices[-1]
         path = self.folder / f"after_frame_{last:06d}.safetensors"
         with self.run.profile.paused():
             try:
-                state = {**self.run.algorithm.state_dict(), "ground_truth": known_poses(self.run)}
-                save_state(
-                    path, state, {**header_of(self.run), "config": settings_of(self.run.config), "streams": streams()}
-                )
+                whole = {**(state or self.run.algorithm.state_dict()), "ground_truth": known_poses(self.run)}
+                header = {**header_of(self.run), "config": settings_of(self.run.config)}
+                save_state(path, whole, {**header, **(drawn or {"streams": streams()})})
                 self._remove(all_but=path)
             except OSError as error:
                 log.error("no checkpoint after frame %d: %s; the one before stays", last, error)

@@ -2,6 +2,7 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,6 +32,8 @@ class Run:
     ground_truth: dict[int, Tensor] = field(default_factory=dict)
     next_frame: int = 0
     """The dataset's frame to go on with: the first one, or the one after a checkpoint's."""
+    streams: dict[str, Any] = field(default_factory=dict)
+    """Where the global random numbers of `tracker` and `mapper` were, if the run is taken up."""
     resumed_after: list[int] = field(default_factory=list)
     """The frames after which the run was taken up again."""
     has_ended: bool = False

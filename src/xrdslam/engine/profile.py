@@ -18,6 +18,7 @@ from xrdslam.engine.build import current_accelerator
 __all__ = ["PROTOCOL", "FrameCost", "Profile", "peak_rss_mib", "rss_mib"]
 
 PROTOCOL = {
+    "start": "from the engine's start to the first frame's reading: what processes take to be there",
     "wall": "from the first frame's reading to the end of the last refinement; files and evaluation excluded",
     "cpu": "processor time of all threads of all processes of the run, in the same span",
     "stage_cpu": "processor time of the process that ran the stage, its threads together, while the stage ran",
@@ -59,6 +60,8 @@ class Profile:
     frames: list[FrameCost] = field(default_factory=list)
     wall_s: float = 0.0
     cpu_s: float = 0.0
+    start_s: float = 0.0
+    """From the engine's start to the first frame's reading: the time that processes take to be there."""
     finish_wall_s: float = 0.0
     finish_cpu_s: float = 0.0
     peak_rss_mib: float = 0.0
@@ -150,6 +153,7 @@ class Profile:
         tracked, mapped = self.frames[1:], [f for f in self.frames if f.mapping_iterations]
         figures = {
             "frames": float(len(self.frames)),
+            "start_s": self.start_s,
             "wall_s": self.wall_s,
             "cpu_s": self.cpu_s,
             "frames_per_second": _over(len(self.frames), self.wall_s),

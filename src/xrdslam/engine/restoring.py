@@ -27,6 +27,7 @@ def restore(run: Run, path: Path) -> None:
     _fill(run, state, header, path)
     run.next_frame = header["frame"] + 1
     run.resumed_after = [*header["resumed_after"], header["frame"]]
+    run.streams = {"tracker": header.get("tracker_streams", header["streams"]), "mapper": header["streams"]}
     restore_streams(header["streams"])  # last: building has drawn from them
 
 

@@ -47,6 +47,24 @@ class Counters:
         self._word(3)[0] = value
 
     @property
+    def saved(self) -> int:
+        """Frames that had been handed to the mapper when the latest checkpoint was written."""
+        return int(self._word(4)[0])
+
+    @saved.setter
+    def saved(self, count: int) -> None:
+        self._word(4)[0] = count
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the parent asks the tracker to pause after the frame under way."""
+        return bool(self._word(5)[0])
+
+    @is_asked.setter
+    def is_asked(self, value: bool) -> None:
+        self._word(5)[0] = value
+
+    @property
     def tracked(self) -> int:
         """Frames handed to the mapper."""
         return int(self._word(0)[0])
@@ -79,6 +97,10 @@ class Channels:
     """Published by the mapper."""
     changes: SharedState
     """Published by the tracker: what tracking changed in the map."""
+    tracking: SharedState
+    """The tracker's own state, published for a checkpoint, and by the parent where a run is taken up."""
+    mapping: SharedState
+    """The mapper's."""
     counters: Counters
     event_ready: Event
     """The tracker handed a frame over."""
@@ -98,6 +120,8 @@ class Channels:
             frames=FrameRing(dataset),
             map=SharedState(),
             changes=SharedState(),
+            tracking=SharedState(),
+            mapping=SharedState(),
             counters=Counters(),
             event_ready=context.Event(),
             event_processed=context.Event(),

@@ -1,7 +1,7 @@
 """Frames in shared memory: who reads a sequence writes each frame once, everybody else looks at it."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -85,21 +85,22 @@ class FrameRing:
         """Write frame after frame, and yield each as everybody else sees it; `take` says where it is."""
         held = list(holders)
         for frame in frames:
-            placed = self._filled[frame.index] = self._put(frame, held)
+            placed = self._filled[frame.index] = self.put(frame, held)
             yield self.frame(placed)
 
     def take(self, index: int) -> PlacedFrame:
         """Return where a frame is that `fill` yielded in this process; once."""
         return self._filled.pop(index)
 
-    def _put(self, frame: Frame, holders: list[Holder]) -> PlacedFrame:
+    def put(self, frame: Frame, holders: Sequence[Holder]) -> PlacedFrame:
+        """Write a frame into a slot that nobody holds, and return where it is."""
         tensors = _tensors(frame)
         places, end = place(tensors)
         if end > self._slot_size:
             raise RunError(f"frame {frame.index} takes {end} bytes, larger than the dataset's camera says")
         slot = int(np.argmin(self._holds.any(1)))
         self._turns[slot] += 1  # who still looks at the slot's last frame sees that it is gone
-        self._holds[slot, holders] = 1
+        self._holds[slot, list(holders)] = 1
         for name, where in places.items():
             self._images.tensor(where, slot * self._slot_size).copy_(tensors[name])
         given = frame.T_world_camera_gt

@@ -12,6 +12,7 @@ from xrdslam.engine.multiprocess.messages import Finished, Mapped, Meter, Tracke
 from xrdslam.engine.multiprocess.replica import Replica, map_state
 from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost, Profile, rss_mib
+from xrdslam.engine.random_numbers import restore_streams, streams
 from xrdslam.engine.stages import Mapper
 
 __all__ = ["map_all"]
@@ -37,7 +38,7 @@ class MapperProcess:
         self.profile = Profile()
         self.mapper = Mapper(self.algorithm, self.profile)
         self.meter = Meter()
-        self.is_strict = job.config.engine.sync == "strict"
+        self.is_strict = job.config.engine.is_strict
         self._tracked: dict[int, Tracked] = {}
         self._changes = 0
         self._version = 0
@@ -45,6 +46,7 @@ class MapperProcess:
     def run(self) -> None:
         """Map frame after frame as they come, then finish."""
         done = 0
+        self._take_up()
         self.meter = Meter()
         self.channels.counters.is_up = True
         self.channels.event_processed.set()
@@ -62,6 +64,15 @@ class MapperProcess:
         profile, changes = self.profile, self.replica.trajectory.take_changes()
         spent = self.meter.read()
         self.replica.record(Finished(changes, self._version, profile.finish_wall_s, profile.finish_cpu_s, spent))
+
+    def _take_up(self) -> None:
+        """Be where a checkpoint was written, if that is where the run begins."""
+        for _ in self.replica.news():
+            published = self.channels.map.latest()
+            self._version = published.version
+            self.replica.load_map(published)
+            self.algorithm.mapping.load_state_dict(self.channels.mapping.latest().tensors)
+            restore_streams(self.job.streams["mapper"])
 
     def _next(self, done: int) -> int:
         """Wait for the next frame and follow what happened meanwhile; -1 after the last."""
@@ -83,9 +94,14 @@ class MapperProcess:
         result = self.mapper.step(frame, cost)
         if result is not None or cost.is_keyframe or self._version == 0:
             self._publish()
+        if tracked.pauses:
+            self.channels.mapping.publish(self.algorithm.mapping.state_dict())
         cost.rss_mib = rss_mib()
         changes, sent = self.replica.trajectory.take_changes(), _sent(result, self.job.with_poses)
-        self.replica.record(Mapped(index, changes, cost, sent, cost.is_keyframe, self._version, self.meter.read()))
+        drawn = streams() if tracked.pauses else None
+        self.replica.record(
+            Mapped(index, changes, cost, sent, cost.is_keyframe, self._version, drawn, self.meter.read())
+        )
         self.replica.settle(index, cost.is_keyframe)
 
     def _load_changes(self, version: int) -> None:

@@ -3,6 +3,7 @@
 import pickle
 import time
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -12,7 +13,7 @@ from xrdslam.core.tracking import TrackingResult
 from xrdslam.engine.multiprocess.frame_ring import PlacedFrame
 from xrdslam.engine.profile import FrameCost, peak_rss_mib
 
-__all__ = ["Finished", "Mapped", "Message", "Meter", "Spent", "Tracked", "pack", "unpack"]
+__all__ = ["Finished", "Mapped", "Message", "Meter", "Paused", "Resumed", "Spent", "Tracked", "pack", "unpack"]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,16 @@ class Meter:
 
 
 @dataclass(frozen=True)
+class Resumed:
+    """The run goes on where a checkpoint was written; always the first step. The map is published beside it."""
+
+    first: PlacedFrame
+    """The frame that gives the map its form."""
+    keyframes: list[PlacedFrame]
+    trajectory: dict[str, Tensor]
+
+
+@dataclass(frozen=True)
 class Tracked:
     """A frame was tracked."""
 
@@ -47,6 +58,10 @@ class Tracked:
     result: TrackingResult
     changes: int
     """The version of what tracking changed in the map; 0 where it changed nothing."""
+    map_version: int
+    """The version of the map that it was tracked against; 0 before the first."""
+    pauses: bool
+    """Whether the tracker waits after it for a checkpoint to be written."""
     began_s: float
     """When the first frame was asked for."""
     spent: Spent
@@ -63,6 +78,19 @@ class Mapped:
     is_keyframe: bool
     version: int
     """The version of the map that it left."""
+    streams: dict[str, Any] | None
+    """Where the mapper's global random numbers are, for a checkpoint."""
+    spent: Spent
+
+
+@dataclass(frozen=True)
+class Paused:
+    """Tracker and mapper wait: what they are is published, to be written down."""
+
+    index: int
+    """The last frame that was tracked and mapped."""
+    streams: dict[str, Any]
+    """Where the tracker's global random numbers are."""
     spent: Spent
 
 
@@ -77,7 +105,7 @@ class Finished:
     spent: Spent
 
 
-Message = Tracked | Mapped | Finished
+Message = Resumed | Tracked | Mapped | Paused | Finished
 
 
 def pack(message: Message) -> Entry:

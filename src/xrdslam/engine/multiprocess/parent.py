@@ -2,19 +2,26 @@
 
 import logging
 import pickle
+import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from multiprocessing import get_context
+from typing import Any
 
 import torch
 
 from xrdslam.core.frame import Frame
+from xrdslam.engine.checkpoints import Checkpoints
 from xrdslam.engine.context import Run
+from xrdslam.engine.interruption import GRACE_S
+from xrdslam.engine.multiprocess.accounts import Accounts
 from xrdslam.engine.multiprocess.channels import Channels
 from xrdslam.engine.multiprocess.frame_ring import Holder
 from xrdslam.engine.multiprocess.mapper import map_all
-from xrdslam.engine.multiprocess.messages import Mapped, Meter, Spent, Tracked
+from xrdslam.engine.multiprocess.messages import Finished, Mapped, Paused, Tracked
 from xrdslam.engine.multiprocess.processes import Processes
 from xrdslam.engine.multiprocess.replica import Replica
+from xrdslam.engine.multiprocess.resumption import gathered, hand_on
 from xrdslam.engine.multiprocess.signals import stop_signals
 from xrdslam.engine.multiprocess.tracker import track_all
 from xrdslam.engine.multiprocess.watching import Visualizer
@@ -33,8 +40,11 @@ def run_multiprocess(run: Run) -> None:
     """Track and map every frame in processes of their own; the run's trajectory, map and profile follow.
 
     Whatever ends it, no process is left when this returns or raises, and `run` holds the last whole state: what the
-    server of the shared algorithm knew, and the last map that was published.
+    server of the shared algorithm knew, and the last map that was published. A run that is told to end leaves a
+    checkpoint of the frame under way, if that ends soon.
     """
+    asked_s = time.perf_counter()
+    checkpoints = Checkpoints(run)
     with stop_signals() as check:
         channels = Channels.build(get_context("spawn"), run.dataset)
         processes = Processes(channels)
@@ -42,14 +52,12 @@ def run_multiprocess(run: Run) -> None:
         try:
             with processes.explaining():
                 processes.start_server()
-                parent = _Parent(run, channels, _start_visualizer(run, channels))
-                with ProgressReport(run.title, len(run.dataset), run.config.engine.progress) as progress:
-                    _start_workers(run, processes)
-                    while not parent.is_finished:
-                        check()
-                        processes.watch(LOOK_EVERY_S)
-                        parent.attend()
-                        parent.follow(progress)
+                parent = _Parent(run, channels, checkpoints, _start_visualizer(run, channels), asked_s)
+                _start_workers(run, processes)
+                _go_through(run, parent, processes, check)
+        except (KeyboardInterrupt, Exception):
+            log.warning("%s", checkpoints.advice())
+            raise
         finally:
             processes.end_workers()
             if parent is not None:
@@ -58,10 +66,37 @@ def run_multiprocess(run: Run) -> None:
             channels.close()
 
 
+def _go_through(run: Run, parent: "_Parent", processes: Processes, check: Callable[[], None]) -> None:
+    earlier = run.profile.frames
+    with ProgressReport(run.title, len(run.dataset), run.config.engine.progress, earlier) as progress:
+        try:
+            while not parent.is_finished:
+                check()
+                processes.watch(LOOK_EVERY_S)
+                parent.attend()
+                parent.follow(progress)
+        except KeyboardInterrupt:
+            until = time.monotonic() + GRACE_S
+            parent.ask_to_pause()
+            while parent.may_pause and time.monotonic() < until:
+                processes.watch(LOOK_EVERY_S, is_asked=True)
+                parent.follow(progress)
+            raise
+
+
 def _job(run: Run, threads: int) -> Job:
     is_watched = run.config.viewer.name != "none"
     return Job(
-        run.config, run.dataset, run.registry, run.device, threads, run.directory.path, _is_heard(run), is_watched
+        run.config,
+        run.dataset,
+        run.registry,
+        run.device,
+        threads,
+        run.directory.path,
+        run.next_frame,
+        run.streams,
+        _is_heard(run),
+        is_watched,
     )
 
 
@@ -72,7 +107,7 @@ def _is_heard(run: Run) -> bool:
 def _start_workers(run: Run, processes: Processes) -> None:
     threads = num_threads(run.config.threads)
     for role, task, share in (("tracker", track_all, threads // 2), ("mapper", map_all, threads - threads // 2)):
-        own = threads if run.config.engine.sync == "strict" else max(1, share)
+        own = threads if run.config.engine.is_strict else max(1, share)
         job = pickle.dumps(_job(run, own))  # not multiprocessing's pickle, which shares tensors
         processes.start_worker(role, job, task)
 
@@ -90,31 +125,69 @@ def _start_visualizer(run: Run, channels: Channels) -> Visualizer | None:
 class _Parent:
     """Follows what the workers do: hooks, progress, costs, and the state that is saved."""
 
-    def __init__(self, run: Run, channels: Channels, visualizer: Visualizer | None) -> None:
+    def __init__(
+        self,
+        run: Run,
+        channels: Channels,
+        checkpoints: Checkpoints,
+        visualizer: Visualizer | None,
+        asked_s: float,
+    ) -> None:
         self.run = run
         self.channels = channels
+        self.checkpoints = checkpoints
         self.visualizer = visualizer
+        self.accounts = Accounts(run.profile, asked_s)
         self.is_heard = _is_heard(run)
         self.is_finished = False
-        self._replica = Replica(run.algorithm, run.scene, channels.algorithm(), channels.frames, None, ())
+        self.is_paused = False
         self._frames: dict[int, tuple[Tracked, Frame]] = {}
         self._costs: dict[int, FrameCost] = {}
-        self._spent: dict[str, Spent] = {}
-        self._began_s = 0.0
-        self._meter = Meter()
+        self._drawn: dict[str, Any] | None = None
+        resumed = hand_on(run, channels) if run.resumed_after else None
+        self._replica = Replica(run.algorithm, run.scene, channels.algorithm(), channels.frames, None, ())
+        if resumed is not None:
+            self._replica.record(resumed)
+            self.follow()
+            self._load_map()
 
     def follow(self, progress: ProgressReport | None = None) -> None:
         """Repeat here what was recorded since the last call."""
         for message in self._replica.news():
-            self._spent[type(message).__name__] = message.spent
+            self.accounts.note(message)
             if isinstance(message, Tracked):
                 self._tracked(message)
             elif isinstance(message, Mapped):
                 self._mapped(message, progress)
-            else:
+            elif isinstance(message, Paused):
+                self._save(message)
+            elif isinstance(message, Finished):
                 run = self.run
                 run.profile.finish_wall_s, run.profile.finish_cpu_s = message.finish_wall_s, message.finish_cpu_s
                 self.is_finished = True
+
+    @property
+    def may_pause(self) -> bool:
+        """Whether tracker and mapper are under way."""
+        counters = self.channels.counters
+        return counters.is_up and counters.may_begin and not (self.is_paused or self.is_finished)
+
+    def ask_to_pause(self) -> None:
+        """Let the frame under way be the last."""
+        self.channels.counters.is_asked = True
+
+    def _save(self, paused: Paused) -> None:
+        """Write a checkpoint while tracker and mapper wait; let them go on, unless they were asked to pause."""
+        counters = self.channels.counters
+        self.accounts.settle()
+        self._load_map()
+        state = gathered(self.run.algorithm, self.channels)
+        self.checkpoints.save(state, {"streams": self._drawn, "tracker_streams": paused.streams})
+        self.is_paused = counters.is_asked
+        if not self.is_paused:
+            self.accounts.go_on(paused)
+            counters.saved = counters.tracked
+            self.channels.event_processed.set()
 
     def attend(self) -> None:
         """Look after the viewer, and let the run begin once it is there, or not waited for."""
@@ -129,11 +202,12 @@ class _Parent:
         with suppress(EOFError, OSError):  # the server is gone: what it said before is what is known
             self.follow()
         self._load_map()
-        self._account()
+        self.accounts.settle()
+        if self.visualizer is not None:
+            self.accounts.count_drops(self.channels.viz_buffer.num_dropped(self.visualizer.has_ended))
 
     def _tracked(self, message: Tracked) -> None:
         run, placed = self.run, message.frame
-        self._began_s = message.began_s
         self._costs[placed.index] = message.cost
         given = placed.T_world_camera_gt
         run.note_truth(placed.index, None if given is None else torch.from_numpy(given))
@@ -151,6 +225,7 @@ class _Parent:
                 self._load_map()
                 run.registry.notify("xrdslam_map_updated", run=run, frame=frame, result=message.result)
             self.channels.frames.let_go(tracked.frame, Holder.PARENT)
+        self._drawn = message.streams or self._drawn
         for name in ("mapping_ms", "mapping_cpu_ms", "mapping_iterations", "map_size", "is_keyframe"):
             setattr(cost, name, getattr(message.cost, name))
         cost.rss_mib += message.cost.rss_mib
@@ -160,16 +235,3 @@ class _Parent:
 
     def _load_map(self) -> None:
         self._replica.load_latest(self.channels.map, self.channels.changes)
-
-    def _account(self) -> None:
-        """Add up what the processes used; the clock runs from the first frame's reading to the last refinement."""
-        profile, spent, own = self.run.profile, self._spent, self._meter.read()
-        mapper = spent.get("Finished") or spent.get("Mapped")
-        workers = [s for s in (spent.get("Tracked"), mapper) if s is not None]
-        if workers:
-            profile.wall_s = max(s.at_s for s in workers) - self._began_s
-        for process in (own, *workers):
-            profile.add_process(process.cpu_s, process.peak_rss_mib)
-        if self.visualizer is not None:
-            dropped = self.channels.viz_buffer.num_dropped(self.visualizer.has_ended)
-            profile.viewer_drops = (profile.viewer_drops or 0) + dropped

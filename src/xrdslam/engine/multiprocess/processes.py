@@ -69,16 +69,17 @@ class Processes:
     def _start(self, role: str, function: Callable[..., None], *args: object) -> None:
         self._running[role] = _Process(*start(role, function, *args))
 
-    def watch(self, timeout_s: float) -> None:
+    def watch(self, timeout_s: float, is_asked: bool = False) -> None:
         """Wait for reports; hand on what was logged.
 
-        RunError (or the worker's own) where a process failed, KeyboardInterrupt where one was asked to end.
+        RunError (or the worker's own) where a process failed, KeyboardInterrupt where one was asked to end, unless the
+        run is known to be (`is_asked`).
         """
         sentinels = [p.process.sentinel for p in self._running.values() if not p.is_done]
         reports = [p.report for p in self._running.values() if not p.report.closed]
         wait([*sentinels, *reports], max(0.0, timeout_s))
         failed = self._failed()
-        if self._is_asked:
+        if self._is_asked and not is_asked:
             raise KeyboardInterrupt
         if failed:
             raise self._cause()

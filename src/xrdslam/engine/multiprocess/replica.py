@@ -11,7 +11,7 @@ from xrdslam.core.model import Model
 from xrdslam.core.shared_algorithm import Steps
 from xrdslam.core.trajectory import Trajectory
 from xrdslam.engine.multiprocess.frame_ring import FrameRing, Holder
-from xrdslam.engine.multiprocess.messages import Mapped, Message, Tracked, pack, unpack
+from xrdslam.engine.multiprocess.messages import Mapped, Message, Paused, Resumed, Tracked, pack, unpack
 from xrdslam.engine.multiprocess.shared_state import Published, SharedState, same_bits
 
 __all__ = ["Replica", "SharedTrajectory", "map_state"]
@@ -89,6 +89,8 @@ class Replica:
             if not isinstance(message, self._own):
                 self._repeat(message)
                 yield message
+            elif not isinstance(message, Paused):  # in the order of all: the last word is the same everywhere
+                self.trajectory.merge(message.trajectory)
 
     def hold(self, tracked: Tracked, frame: Frame) -> None:
         """Keep a frame that is tracked here until it is known whether it is a keyframe."""
@@ -109,6 +111,11 @@ class Replica:
         return frame
 
     def _repeat(self, message: Message) -> None:
+        if isinstance(message, Paused):
+            return
+        if isinstance(message, Resumed):
+            self._take_up(message)
+            return
         if isinstance(message, Tracked):
             self._pending[message.frame.index] = (message, None)
             if len(self.trajectory) == 0:
@@ -120,6 +127,13 @@ class Replica:
             if keyframe is not None:
                 self.algorithm.keyframes.append(keyframe)
 
+    def _take_up(self, resumed: Resumed) -> None:
+        device = self.algorithm.device
+        self.algorithm.start(self.scene, self._ring.frame(resumed.first).to(device))
+        self.trajectory.take_changes()
+        self.trajectory.load_state_dict(resumed.trajectory)
+        self.algorithm.keyframes = [self._ring.frame(keyframe).to(device) for keyframe in resumed.keyframes]
+
     def load_latest(self, maps: SharedState, changes: SharedState) -> None:
         """Load the latest map, and what tracking changed in it since; for who only looks on."""
         if not len(self.trajectory):
@@ -128,6 +142,8 @@ class Replica:
         if published is not None and published.version > self._version:
             self._version = published.version
             self.load_map(published)
+        elif published is not None:  # keyframes that were not known yet when it was loaded have their poses there
+            self._load_keyframes(published)
         changed = changes.read()
         if changed is not None and changed.base == self._version:
             self.load_changes(changed)
@@ -136,6 +152,9 @@ class Replica:
         """Take over a published map and the poses of its keyframes."""
         state = {k.removeprefix(MODEL): t for k, t in published.tensors.items() if k.startswith(MODEL)}
         self.algorithm.model.load_state_dict(state)
+        self._load_keyframes(published)
+
+    def _load_keyframes(self, published: Published) -> None:
         kept = {k.removeprefix(KEYFRAMES): t for k, t in published.tensors.items() if k.startswith(KEYFRAMES)}
         if kept:
             _load_poses(self.algorithm.keyframes, kept["rotations"], kept["translations"])

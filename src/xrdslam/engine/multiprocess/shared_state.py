@@ -72,6 +72,12 @@ class SharedState:
         words[0] = version
         return version
 
+    def latest(self) -> Published:
+        """Return the latest version where there is one."""
+        published = self.read()
+        assert published is not None, "who asks was told so"
+        return published
+
     def read(self, copied: bool = True) -> Published | None:
         """Return the latest version, None before the first; views instead of copies where nobody writes meanwhile."""
         while version := self.version:

@@ -11,11 +11,12 @@ from xrdslam.core.tracking import TrackingMethod, TrackingResult
 from xrdslam.datasets.prefetch import prefetch
 from xrdslam.engine.multiprocess.channels import Channels, wait_until
 from xrdslam.engine.multiprocess.frame_ring import Holder, PlacedFrame
-from xrdslam.engine.multiprocess.messages import Meter, Tracked
+from xrdslam.engine.multiprocess.messages import Meter, Paused, Tracked
 from xrdslam.engine.multiprocess.replica import TRACKING, Replica
 from xrdslam.engine.multiprocess.shared_state import Published
 from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost, Profile, rss_mib
+from xrdslam.engine.random_numbers import restore_streams, streams
 from xrdslam.engine.stages import Tracker
 
 __all__ = ["track_all"]
@@ -34,10 +35,10 @@ class TrackerProcess:
         self.channels = channels
         self.algorithm = job.algorithm()
         self.replica = Replica(
-            self.algorithm, job.scene, channels.algorithm(), channels.frames, Holder.TRACKER, (Tracked,)
+            self.algorithm, job.scene, channels.algorithm(), channels.frames, Holder.TRACKER, (Tracked, Paused)
         )
         self.tracker = Tracker(self.algorithm, job.scene, Profile())
-        self.is_strict = job.config.engine.sync == "strict"
+        self.is_strict = job.config.engine.is_strict
         self._map: Published | None = None
         self._changes = 0
         self.meter = Meter()
@@ -47,8 +48,10 @@ class TrackerProcess:
         holders = [Holder.TRACKER, Holder.MAPPER, *([Holder.PARENT] if self.job.is_heard else [])]
         ring = self.channels.frames
         counters, processed = self.channels.counters, self.channels.event_processed
+        self._take_up()
         wait_until(lambda: counters.is_up and counters.may_begin, processed)  # starting is no part of the run
-        with closing(prefetch(ring.fill(self.job.dataset.frames(), holders), self.job.device)) as frames:
+        read = self.job.dataset.frames(self.job.next_frame)
+        with closing(prefetch(ring.fill(read, holders), self.job.device)) as frames:
             self.meter = Meter()
             asked = time.perf_counter()
             for frame in frames:
@@ -58,6 +61,14 @@ class TrackerProcess:
         self._wait_for_the_map(may_lag=0)
         self._publish_changes(at_the_end=True)
         self._hand_over(-1)
+
+    def _take_up(self) -> None:
+        """Be where a checkpoint was written, if that is where the run begins."""
+        for _ in self.replica.news():
+            self._map = self.channels.map.latest()
+            self.replica.load_map(self._map)
+            self.algorithm.tracking.load_state_dict(self.channels.tracking.latest().tensors)
+            restore_streams(self.job.streams["tracker"])
 
     def _step(self, placed: PlacedFrame, frame: Frame, cost: FrameCost) -> None:
         self._wait_for_the_map(0 if self.is_strict else self.job.config.engine.max_lag)
@@ -70,6 +81,8 @@ class TrackerProcess:
             cost,
             _sent(result, self.job.with_poses),
             self._changes,
+            self._map.version if self._map else 0,
+            self._pauses(),
             self.meter.began_s,
             self.meter.read(),
         )
@@ -77,6 +90,20 @@ class TrackerProcess:
         self.replica.record(tracked)
         self._hand_over(frame.index)
         self.channels.viz_buffer.put(frame.index)
+        if tracked.pauses:
+            self._pause(frame.index)
+
+    def _pauses(self) -> bool:
+        every, counters = self.job.config.engine.checkpoint_every, self.channels.counters
+        return counters.is_asked or (every > 0 and len(self.algorithm.trajectory) % every == 0)
+
+    def _pause(self, index: int) -> None:
+        """Wait until the mapper has caught up, say what there is to be known, wait until it is written down."""
+        self._wait_for_the_map(may_lag=0)
+        self.channels.tracking.publish(self.algorithm.tracking.state_dict())
+        self.replica.record(Paused(index, streams(), self.meter.read()))
+        counters = self.channels.counters
+        wait_until(lambda: counters.saved == counters.tracked, self.channels.event_processed)
 
     def _wait_for_the_map(self, may_lag: int) -> None:
         """Wait until the map is no more than some frames behind; follow what happened meanwhile."""
@@ -86,8 +113,7 @@ class TrackerProcess:
         for _ in self.replica.news():
             pass
         if self.channels.map.version > (self._map.version if self._map else 0):
-            self._map = self.channels.map.read()
-            assert self._map is not None, "it has a version"
+            self._map = self.channels.map.latest()
             self.replica.load_map(self._map)
 
     def _publish_changes(self, at_the_end: bool = False) -> None:

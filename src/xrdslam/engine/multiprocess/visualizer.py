@@ -106,8 +106,7 @@ class VisualizerProcess:
 
     def _finish(self) -> None:
         """Show how the run ended."""
-        published = self.farewell.read()
-        assert published is not None, "it is published before the order is given"
+        published = self.farewell.latest()
         tensors = {k.removeprefix(TRAJECTORY): t for k, t in published.tensors.items() if k.startswith(TRAJECTORY)}
         self.algorithm.trajectory.merge(tensors)
         metrics = pickle.loads(published.tensors[METRICS].numpy().tobytes())

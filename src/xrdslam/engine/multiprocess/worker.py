@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from xrdslam.core.algorithm import Algorithm, Scene
 from xrdslam.core.config import RunConfig
@@ -28,6 +29,10 @@ class Job:
     threads: int
     """Of this process."""
     run_dir: Path
+    next_frame: int
+    """The dataset's frame to begin with."""
+    streams: dict[str, Any]
+    """Where the global random numbers of tracker and mapper are, if the run is taken up."""
     is_heard: bool
     """Whether a plugin's hooks hear of frames, in the parent."""
     is_watched: bool
