@@ -57,3 +57,19 @@ def test_what_would_change_the_result_is_refused(override: str, says: str) -> No
     with pytest.raises(ConfigError) as refusal:
         overridden(RECORDED, [override])
     assert says in str(refusal.value)
+
+
+def test_another_engine_may_go_on_where_both_give_the_same_bits() -> None:
+    assert overridden(RECORDED, ["engine=multiprocess"])["engine"] == {
+        "name": "multiprocess",
+        "progress": True,
+        "checkpoint_every": 50,
+    }
+    strict = {"name": "multiprocess", "progress": True, "checkpoint_every": 5, "sync": "strict", "max_lag": 5}
+    back = overridden(RECORDED | {"engine": strict}, ["engine=sequential"])
+    assert back["engine"] == {"name": "sequential", "progress": True, "checkpoint_every": 5}
+    ahead = RECORDED | {"engine": strict | {"sync": "async"}}
+    assert overridden(ahead, ["engine=multiprocess"])["engine"] == ahead["engine"]
+    for wrong in ("engine=sequential", "engine.sync=strict"):
+        with pytest.raises(ConfigError, match="would change the result"):
+            overridden(ahead, [wrong])

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from xrdslam.core.config import EngineConfig, MultiprocessConfig
+from xrdslam.core.errors import ConfigError
 from xrdslam.core.frame import Frame
 from xrdslam.core.hookspecs import hookimpl
 from xrdslam.core.saved_state import load_state
@@ -82,26 +83,25 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_killed_run_goes_on_and_is_stopped_and_goes_on_with_the_sequential_bits(
-    killed: Path, uninterrupted: Path, caplog: pytest.LogCaptureFixture
+def test_one_engine_goes_on_where_the_other_was_killed_or_stopped_with_the_same_bits(
+    killed: Path, uninterrupted: Path
 ) -> None:
     assert newest_checkpoint(killed) == killed / "checkpoint/after_frame_000002.safetensors"
     registry, interrupter = toy_registry(), Interrupter(at=4)
     registry.register(interrupter, "interrupter 1.0")
-    assert resume(killed, ["engine.checkpoint_every=2"], registry).was_interrupted
-    assert interrupter.heard[0] == 3, "no frame is done twice"
-    stopped = newest_checkpoint(killed)
-    assert stopped is not None
-    assert f"resume={killed} goes on after frame {int(stopped.stem[-6:])}" in caplog.text
-    assert int(stopped.stem[-6:]) >= 4
-    ended = resume(killed, registry=toy_registry())
+    assert resume(killed, ["engine=sequential"], registry).was_interrupted
+    assert interrupter.heard == [3, 4], "no frame is done twice"
+    assert newest_checkpoint(killed) == killed / "checkpoint/after_frame_000004.safetensors"
+    ended = resume(killed, ["engine=multiprocess"], registry=toy_registry())
     assert ended.exit_status == 0
     assert ended.metrics["profile/frames"] == NUM_FRAMES
     assert different_leaves(results(uninterrupted), results(killed)) == []
     assert not (killed / "checkpoint").exists()
 
 
-def test_async_goes_on_after_a_moment_at_which_everything_is_mapped(tmp_path: Path) -> None:
+def test_async_goes_on_after_a_moment_at_which_everything_is_mapped(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     registry, interrupter = toy_registry(), Interrupter(at=3)
     registry.register(interrupter, "interrupter 1.0")
     engine = MultiprocessConfig(progress=False, sync="async", max_lag=3, checkpoint_every=2)
@@ -111,6 +111,10 @@ def test_async_goes_on_after_a_moment_at_which_everything_is_mapped(tmp_path: Pa
     path = newest_checkpoint(tmp_path)
     assert path is not None
     state, header = load_state(path)
+    assert header["frame"] >= 3
+    assert f"resume={tmp_path} goes on after frame {header['frame']}" in caplog.text
+    with pytest.raises(ConfigError, match=r"would change the result .* engine\.sync=async"):
+        resume(tmp_path, ["engine=sequential"], toy_registry())
     kept = range(0, header["frame"] + 1, 2)
     assert state["keyframes"]["indices"].tolist() == list(kept), "every frame up to it is mapped"
     assert len(header["profile"]["frames"]) == header["frame"] + 1

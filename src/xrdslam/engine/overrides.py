@@ -19,7 +19,6 @@ CHOICES = {
     "algo": "algo.name",
     "algo/tracking": "algo.tracking.name",
     "algo/mapping": "algo.mapping.name",
-    "engine": "engine.name",
 }
 """Options that are chosen by group, and where the settings say which was."""
 
@@ -38,6 +37,8 @@ def overridden(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
             _hold_to(config, ("dataset.family", "dataset.scene"), value.partition("/")[::2], override)
         elif key == "viewer":
             config.viewer = {"name": value}
+        elif key == "engine":
+            _choose_engine(config, value, override)
         elif key in CHOICES:
             _hold_to(config, (CHOICES[key],), (value,), override)
         else:
@@ -61,6 +62,16 @@ def _set(config: Any, key: str, override: str) -> None:  # noqa: ANN401  # Omega
     OmegaConf.update(config, key, wanted)
 
 
+def _choose_engine(config: Any, name: str, override: str) -> None:  # noqa: ANN401  # OmegaConf's containers
+    """Let another engine go on: turn by turn both give the same bits. Tracking that runs ahead is another run."""
+    recorded = config.engine
+    if name == recorded.name:
+        return
+    if OmegaConf.select(recorded, "sync", default="strict") != "strict":
+        _refuse(override, f"engine={recorded.name} engine.sync={recorded.sync}")
+    config.engine = {key: recorded[key] for key in ("progress", "checkpoint_every")} | {"name": name}
+
+
 def _hold_to(config: Any, keys: Sequence[str], values: Sequence[str], override: str) -> None:  # noqa: ANN401
     recorded = [str(OmegaConf.select(config, key)) for key in keys]
     if recorded != list(values):
@@ -70,5 +81,5 @@ def _hold_to(config: Any, keys: Sequence[str], values: Sequence[str], override: 
 def _refuse(override: str, recorded: str) -> None:
     raise ConfigError(
         f"{override}: would change the result of a run that was begun with {recorded}; begin a new run, or resume "
-        f"without it (what may be set: {', '.join(FREE)})"
+        f"without it (what may be set: {', '.join(FREE)}, and engine, where it is turn by turn)"
     )
