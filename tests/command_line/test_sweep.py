@@ -58,7 +58,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "xrdslam", "-m", *SMALL, "engine.progress=false", *arguments]
+    return [sys.executable, "-m", "xrdslam", "-m", *SMALL, "engine.progress=false", "sweep.dir=here", *arguments]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Sweep]:
     env = environment(folder / "plugin")
 
     def sweep(*arguments: str) -> subprocess.CompletedProcess[str]:
-        asked = command("algo.map_every=1,0", "sweep.dir=here", *arguments)
+        asked = command("algo.map_every=1,0", *arguments)
         return subprocess.run(
             asked, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=PATIENCE_S
         )
@@ -157,10 +157,9 @@ def test_a_job_that_was_begun_is_not_taken_for_done(swept: tuple[Path, Sweep], t
 
 @pytest.mark.parametrize("launcher", LAUNCHERS)
 def test_launchers_run_jobs_side_by_side_on_their_share_of_the_cores(launcher: str, tmp_path: Path) -> None:
-    if not installed(LAUNCHERS[launcher]):
-        pytest.skip(f"extra {LAUNCHERS[launcher]!r} is not installed: launcher={launcher} cannot be tried")
+    needs(launcher)
     env = environment(tmp_path / "plugin")
-    asked = command(f"launcher={launcher}", "sweep.jobs=2", "seed=0,1", "sweep.dir=here", "evaluation.every=2")
+    asked = command(f"launcher={launcher}", "sweep.jobs=2", "seed=0,1", "evaluation.every=2")
     answer = subprocess.run(
         asked, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=2 * PATIENCE_S
     )
@@ -176,29 +175,57 @@ def test_launchers_run_jobs_side_by_side_on_their_share_of_the_cores(launcher: s
 
 @pytest.mark.parametrize("launcher", ["basic", *LAUNCHERS])
 def test_ctrl_c_ends_a_sweep_with_nothing_left_running(launcher: str, tmp_path: Path) -> None:
-    extra = LAUNCHERS.get(launcher, "")
-    if extra and not installed(extra):
-        pytest.skip(f"extra {extra!r} is not installed: launcher={launcher} cannot be tried")
-    env = environment(tmp_path / "plugin")
+    needs(launcher)
     jobs = ("seed=5", "seed=6")[: 1 if launcher == "basic" else 2]
-    with (tmp_path / "said.txt").open("w") as said:
-        sweep = subprocess.Popen(
-            command(f"launcher={launcher}", "seed=5,6", "sweep.dir=here"),
-            cwd=tmp_path,
-            env=env,
-            stdout=said,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-    begun = [tmp_path / "here" / job / "begun" for job in jobs]
-    wait_until(lambda: all(path.is_file() and path.read_text() for path in begun) or sweep.poll() is not None)
+    sweep, begun = waiting(launcher, jobs, tmp_path)
     os.killpg(sweep.pid, signal.SIGINT)  # as a terminal does
     assert sweep.wait(PATIENCE_S) == 130, (tmp_path / "said.txt").read_text()
     assert statuses(tmp_path / "here") == dict.fromkeys(jobs, "interrupted")
     assert "0 of 2 jobs done" in (tmp_path / "said.txt").read_text()
-    for path in begun:
-        with pytest.raises(ProcessLookupError):
-            os.kill(int(path.read_text()), 0)
+    assert not [pid for pid in begun if is_there(pid)]
+
+
+def test_a_worker_that_dies_ends_the_sweep_and_jobs_save_what_there_is(tmp_path: Path) -> None:
+    needs("joblib")
+    sweep, begun = waiting("joblib", ("seed=5", "seed=6"), tmp_path)
+    worker = int(Path(f"/proc/{begun[0]}/stat").read_text().rpartition(")")[2].split()[1])  # the parent
+    os.kill(worker, signal.SIGKILL)
+    assert sweep.wait(PATIENCE_S) == 1, (tmp_path / "said.txt").read_text()
+    said = (tmp_path / "said.txt").read_text()
+    assert "the launcher of the sweep ended early (TerminatedWorkerError" in said
+    assert "0 of 2 jobs done" in said
+    wait_until(lambda: not any(map(is_there, begun)))
+
+
+def needs(launcher: str) -> None:
+    extra = LAUNCHERS.get(launcher, "")
+    if extra and not installed(extra):
+        pytest.skip(f"extra {extra!r} is not installed: launcher={launcher} cannot be tried")
+
+
+def waiting(launcher: str, jobs: Sequence[str], folder: Path) -> tuple["subprocess.Popen[bytes]", list[int]]:
+    """Start a sweep of two jobs that wait to be told to end, and return it once those in `jobs` run, with their ids."""
+    with (folder / "said.txt").open("w") as said:
+        sweep = subprocess.Popen(
+            command(f"launcher={launcher}", "sweep.jobs=2" if launcher != "basic" else "sweep.jobs=1", "seed=5,6"),
+            cwd=folder,
+            env=environment(folder / "plugin"),
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    begun = [folder / "here" / job / "begun" for job in jobs]
+    wait_until(lambda: all(path.is_file() and path.read_text() for path in begun) or sweep.poll() is not None)
+    assert sweep.poll() is None, (folder / "said.txt").read_text()
+    return sweep, [int(path.read_text()) for path in begun]
+
+
+def is_there(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def wait_until(condition: Callable[[], bool]) -> None:

@@ -1,6 +1,7 @@
 """A run measured again from its directory: the same figures, or those that are asked for, and what is refused."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -73,6 +74,21 @@ def test_what_is_asked_for_changes_and_the_rest_stays(finished: Path, tmp_path: 
     assert float(str(again["reconstruction/accuracy_cm"])) < before["reconstruction/accuracy_cm"]
     with pytest.raises(DataError, match="no such file"):
         evaluate_again(finished, [], tmp_path / "missing.ply")
+
+
+def test_the_report_shows_the_surface_that_was_given(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The report of a scene whose dataset has no mesh is drawn with `--gt-mesh`, as the figures are."""
+    run_dir = tmp_path / "run"
+    shutil.copytree(finished, run_dir)
+    config = (run_dir / "config.yaml").read_text()
+    (run_dir / "config.yaml").write_text(config.replace("report: false", "report: true"))
+    drawn: list[Path | None] = []
+    monkeypatch.setattr("xrdslam.engine.results.write_report", lambda _, true_mesh: drawn.append(true_mesh))
+    mesh = run_dir / "map" / "mesh.ply"
+    evaluate_again(run_dir, ["evaluation.mesh_samples=100", "evaluation.virtual_views=0"], mesh)
+    assert drawn == [mesh]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -61,11 +62,13 @@ def carry_out_job(
         log.info("%s: %s", run_dir.name, why)
     config.threads = config.threads or max(1, cores() // ledger.side_by_side)
     begun.write()
+    began = time.monotonic()
     with _counted(sweep_dir):
         code = _in_a_process(config, what == "resume", begun, ledger, sweep_dir)
     ended = read_outcome(run_dir)
     if ended is None or ended.status == "running":
-        ended = replace(begun, status="failed", reason=_last_word(code, run_dir))
+        seconds = round(time.monotonic() - began, 1)
+        ended = replace(begun, status="failed", reason=_last_word(code, run_dir), seconds=seconds)
     _end(ended)
 
 

@@ -42,7 +42,7 @@ def evaluate_again(
     EvalMetrics(config).check()
     metrics = evaluate(run, true_mesh=true_mesh, profile_protocol=_protocol_of(run_dir))
     if run.config.report:
-        save_report(run)
+        save_report(run, true_mesh)
     return metrics
 
 

@@ -130,10 +130,13 @@ def _conditions(run: Run) -> dict[str, JsonValue]:
     }
 
 
-def save_report(run: Run) -> None:
-    """Write report.html. Whatever goes wrong is a warning: nothing that was computed depends on it."""
+def save_report(run: Run, true_mesh: Path | None = None) -> None:
+    """Write report.html, with `true_mesh` in place of the dataset's.
+
+    Whatever goes wrong is a warning: nothing that was computed depends on it.
+    """
     try:
-        write_report(run.directory.path, run.dataset.ground_truth_mesh)
+        write_report(run.directory.path, true_mesh or run.dataset.ground_truth_mesh)
     except Exception as error:  # a fault of a picture must not fail a run that took hours
         again = f"`python -m xrdslam.report {run.directory.path}` writes it again"
         log.warning("report.html was not written (%s: %s); %s", type(error).__name__, error, again)

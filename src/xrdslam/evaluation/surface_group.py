@@ -16,9 +16,10 @@ from xrdslam.evaluation.mesh_depth import MEASURES as DEPTH_MEASURES
 from xrdslam.evaluation.mesh_depth import mesh_depth_error
 from xrdslam.evaluation.metrics import JsonValue, MetricGroup
 from xrdslam.evaluation.reconstruction import DENSITY, MEASURES, compare_surfaces, moved, seen_samples
+from xrdslam.evaluation.surface_alignment import surface_alignment
 from xrdslam.evaluation.surface_files import read_mesh
 from xrdslam.evaluation.trajectories import Trajectories
-from xrdslam.evaluation.trajectory import absolute_trajectory_error
+from xrdslam.evaluation.trajectory import AlignmentKind
 from xrdslam.evaluation.virtual_views import CAMERA, virtual_views
 from xrdslam.ops.ray_mesh import RayMesh
 
@@ -64,9 +65,7 @@ def _protocol(config: EvaluationConfig, num_views: int) -> dict[str, JsonValue]:
         "samples": config.mesh_samples,
         "samples_measured_to": DENSITY * config.mesh_samples,
         "samples_are": "even over the area of each surface",
-        "alignment": {"se3": "the final trajectory's SE(3)", "sim3": "the final trajectory's Sim(3)"}.get(
-            config.alignment, "none"
-        ),
+        "alignment": config.alignment,
         "icp": config.icp,
         "virtual_views": config.virtual_views,
         "virtual_camera": f"{CAMERA.width}x{CAMERA.height} px, focal length {CAMERA.fx:g} px",
@@ -88,11 +87,10 @@ def _alignment(config: EvaluationConfig, trajectories: Trajectories, group: Metr
         return Alignment.identity()
     if trajectories.ground_truth is None:
         raise EvaluationError("the sequence has no ground-truth trajectory to align by; evaluation.alignment=none")
-    ate = absolute_trajectory_error(
-        trajectories.final, trajectories.ground_truth, "sim3" if config.alignment == "sim3" else "se3"
-    )
-    group.protocol["alignment_scale"] = ate.alignment.scale
-    return ate.alignment
+    kind: AlignmentKind = "sim3" if config.alignment == "sim3" else "se3"
+    found = surface_alignment(trajectories.final, trajectories.ground_truth, kind)
+    group.protocol |= found.protocol(kind)
+    return found.motion
 
 
 def _virtual(

@@ -11,6 +11,8 @@ __all__ = ["ProtocolError", "by_protocol", "check_protocols", "conditions"]
 
 OUTCOMES = frozenset(
     {
+        "alignment_path_along_cm",
+        "alignment_path_aside_cm",
         "alignment_scale",
         "ate_sim3_scale",
         "culling_frames",

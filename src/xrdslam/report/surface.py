@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from xrdslam.core.surface import PointCloud, TriangleMesh
+from xrdslam.evaluation.alignment import Alignment
+from xrdslam.evaluation.errors import EvaluationError
+from xrdslam.evaluation.surface_alignment import surface_alignment
 from xrdslam.evaluation.surface_files import read_mesh
 from xrdslam.pictures.clouds import read_cloud
 from xrdslam.pictures.outside import Drawing, Outside
@@ -16,7 +19,6 @@ from xrdslam.pictures.palette import ERROR, coloured, hexadecimal
 from xrdslam.report.charts import number
 from xrdslam.report.renderings import data_uri
 from xrdslam.report.run_files import RunFiles
-from xrdslam.report.trajectory_view import error_of
 
 __all__ = ["distances_cm", "surface_figure"]
 
@@ -94,10 +96,10 @@ def _by_distance(
     run: RunFiles, mesh: TriangleMesh, shown: Int[np.ndarray, " s"], truth: TriangleMesh
 ) -> Float[np.ndarray, "v 3"]:
     """Return colours of vertices: of those that belong to a shown triangle, the others are not asked for."""
-    error = error_of(run)
+    motion = _motion(run)
     asked = np.unique(mesh.faces[shown])
     vertices = mesh.vertices[asked].astype(np.float64)
-    away = distances_cm(vertices if error is None else error.alignment.apply(vertices), truth)
+    away = distances_cm(vertices if motion is None else motion.apply(vertices), truth)
     colors = np.zeros((len(mesh.vertices), 3))
     colors[asked] = coloured(away, ERROR, 0.0, WORST_CM) / 255
     return colors
@@ -116,3 +118,13 @@ def _scale() -> str:
     stops = ",".join(hexadecimal(np.array(colour, np.uint8)) for colour in ERROR)
     ramp = f'<i class="ramp" style="background:linear-gradient(90deg,{stops})"></i>'
     return f"0{ramp}≥ {number(WORST_CM)} cm"
+
+
+def _motion(run: RunFiles) -> Alignment | None:
+    """Return what lays the run's world on the true one, as its figures have it; None where the poses do not say."""
+    if run.ground_truth is None:
+        return None
+    try:
+        return surface_alignment(run.final, run.ground_truth).motion
+    except EvaluationError:
+        return None
