@@ -34,6 +34,8 @@ def save_trajectories(run: Run) -> None:
     if any(bool(torch.isfinite(pose).all()) for pose in known):
         run.directory.write_trajectory("ground_truth", stamps, torch.stack(known))
     lost = [index for index in trajectory.indices if trajectory.lost(index)]
+    if lost:
+        log.warning("%d of %d frames are lost: their poses are predictions", len(lost), len(trajectory))
     run.directory.write_keyframes([frame.index for frame in run.algorithm.keyframes], lost)
     write_text(run.directory.path / "timing.csv", run.profile.csv())
     if len(trajectory):

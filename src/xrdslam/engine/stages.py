@@ -35,15 +35,15 @@ class Tracker:
         return result
 
     def _tell(self, frame: Frame, result: TrackingResult) -> None:
-        """Say of the first of a row of lost frames that it is lost, of the others for those who want to know."""
+        """Say of the first of a row of lost frames that it is lost, of the others to those who look for faults."""
         if result.is_lost:
-            level = logging.INFO if self._num_lost else logging.WARNING
+            level = logging.DEBUG if self._num_lost else logging.WARNING
             reason = result.reason or "no reason given"
             log.log(level, "frame %d is lost (%s); its predicted pose is kept", frame.index, reason)
             self._num_lost += 1
         elif self._num_lost or result.is_recognised:
             how = f"recognised by {result.reason}" if result.is_recognised else "tracked"
-            log.warning("frame %d is %s after %d lost frames", frame.index, how, self._num_lost)
+            log.warning("frame %d is %s, after %d lost frames", frame.index, how, self._num_lost)
             self._num_lost = 0
 
 
