@@ -29,7 +29,7 @@ SETTINGS = (
 WARM_UP = 200
 """Frames that slopes leave out: kernels are compiled, allocators fill."""
 WINDOW = 50
-"""Frames of a rolling median: a single frame's time says what else the machine did."""
+"""Frames of a rolling median: a single frame may be one that is not mapped."""
 
 Column = NDArray[np.float64]
 
@@ -44,6 +44,7 @@ class Soak:
     keyframes: Column
     """How many there are."""
     tracking_ms: Column
+    """Of the processor, all threads together: what else the machine does is not in it."""
     mapping_ms: Column
     keyframe_mib: float
     """Colour and depth of one of them, float32."""
@@ -107,7 +108,7 @@ class Soak:
         twin.set_ylabel("keyframes (dashed)")
         for name, values in (("tracking", self.tracking_ms), ("mapping", self.mapping_ms)):
             axes[2].plot(self.frame, rolling_median(values), label=f"{name}, median of {WINDOW}")
-        axes[2].set_ylabel("time per frame [ms]")
+        axes[2].set_ylabel("processor time per frame [ms]")
         axes[2].set_ylim(bottom=0)
         axes[2].set_xlabel("frame")
         axes[2].legend(loc="upper left")
@@ -131,7 +132,7 @@ def read_timing(path: Path, num_pixels: int) -> Soak:
     def column(name: str) -> Column:
         return np.array([float(row[name]) for row in rows])
 
-    counted = ("index", "rss_mib", "map_size", "is_keyframe", "tracking_ms", "mapping_ms")
+    counted = ("index", "rss_mib", "map_size", "is_keyframe", "tracking_cpu_ms", "mapping_cpu_ms")
     frame, rss_mib, map_size, is_keyframe, tracking_ms, mapping_ms = map(column, counted)
     return Soak(frame, rss_mib, map_size, is_keyframe.cumsum(), tracking_ms, mapping_ms, 16 * num_pixels / 2**20)
 

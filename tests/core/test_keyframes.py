@@ -1,12 +1,14 @@
 """Which keyframes a mapping step looks at."""
 
+import dataclasses
+
 import pytest
 import torch
 
 from xrdslam.core.camera import Camera
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3, so3
-from xrdslam.core.keyframes import KEYFRAME_POLICIES, overlap, select_keyframes
+from xrdslam.core.keyframes import BLOCK, KEYFRAME_POLICIES, overlap, select_keyframes
 
 CAMERA = Camera(100.0, 100.0, 49.5, 39.5, 100, 80)
 POLICIES = sorted(KEYFRAME_POLICIES)
@@ -120,3 +122,14 @@ def test_a_frame_without_a_depth_overlaps_with_nothing() -> None:
     frame.depth.zero_()
     assert overlap(row(3), frame, random()).tolist() == [0.0, 0.0, 0.0]
     assert overlap([], looking(9), random()).shape == (0,)
+
+
+def test_keyframes_are_compared_in_blocks_as_one_by_one() -> None:
+    """More of them than a block holds, and two cameras in turns: what one costs must not grow with their number."""
+    frames = row(2 * BLOCK + 5)
+    for frame in frames[BLOCK - 3 : BLOCK + 4]:
+        frame.camera = dataclasses.replace(frame.camera, fx=0.8 * frame.camera.fx)
+    together = overlap(frames, looking(99), random())
+    alone = torch.cat([overlap([frame], looking(99), random()) for frame in frames])
+    torch.testing.assert_close(together, alone, rtol=0, atol=1 / 1600 + 1e-6)  # a point on the border may fall over it
+    assert len(together.unique()) > 3

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from xrdslam.core.errors import DataError
 from xrdslam.core.geometry import se3, so3
-from xrdslam.core.pose import OptimizablePose, RotationKind
+from xrdslam.core.pose import OptimizablePose, PivotedPose, RotationKind, stacked
 
 KINDS: list[RotationKind] = ["axis_angle", "quaternion"]
 PRECISIONS = [(torch.float32, 1e-6), (torch.float64, 2e-15)]  # about 8 eps
@@ -116,3 +116,14 @@ def test_what_is_not_rigid_is_refused_and_the_pose_kept(spoil: float) -> None:
 def test_a_rotation_of_the_wrong_length_is_refused() -> None:
     with pytest.raises(ValueError, match="quaternion has 4 numbers"):
         OptimizablePose(torch.zeros(3), torch.zeros(3), "quaternion")
+
+
+@pytest.mark.parametrize("kinds", [["axis_angle"] * 3, ["quaternion"] * 3, ["axis_angle", "quaternion", "axis_angle"]])
+def test_stacked_poses_are_the_poses(kinds: list[RotationKind]) -> None:
+    poses = [
+        OptimizablePose.from_matrix(motion(angle), kind) for angle, kind in zip((0.0, 0.3, 3.1), kinds, strict=True)
+    ]
+    expected = torch.stack([pose.matrix() for pose in poses])
+    torch.testing.assert_close(stacked(poses), expected, rtol=0, atol=1e-15)
+    pivoted = [PivotedPose.about(motion(0.3), torch.tensor([1.0, 2.0, 3.0]).double()) for _ in range(2)]
+    torch.testing.assert_close(stacked(pivoted), torch.stack([pose.matrix() for pose in pivoted]), rtol=0, atol=0)

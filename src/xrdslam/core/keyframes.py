@@ -1,18 +1,24 @@
 """Which keyframes a mapping step looks at."""
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from xrdslam.core.camera import Camera
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3
+from xrdslam.core.pose import stacked
 
 __all__ = ["KEYFRAME_POLICIES", "KeyframePolicy", "overlap", "select_keyframes"]
 
 KeyframePolicy = Callable[[Sequence[Frame], Frame, int, torch.Generator], list[Frame]]
 """(candidates, current frame, how many, random numbers) -> at most that many, in any order."""
+
+BLOCK = 32
+"""Keyframes that are compared at once."""
 
 
 def select_keyframes(
@@ -48,13 +54,30 @@ def overlap(
         return torch.zeros(len(keyframes))
     drawn = torch.randint(len(points_camera), (num_pixels,), generator=generator).to(points_camera.device)
     points_world = se3.transform(frame.pose.matrix().detach(), points_camera[drawn])
-    fractions = []
-    for keyframe in keyframes:
-        seen = se3.transform(se3.inverse(keyframe.pose.matrix().detach()), points_world)
-        pixels, depth = keyframe.camera.project(seen)
-        border = min(border_px, 0.1 * min(keyframe.camera.width, keyframe.camera.height))
-        fractions.append((keyframe.camera.contains(pixels, border) & (depth > 0)).float().mean())
-    return torch.stack(fractions).cpu()
+    fractions = torch.cat(
+        [_seen(camera, T_keyframe_world, points_world, border_px) for camera, T_keyframe_world in _blocks(keyframes)]
+    )
+    return fractions.cpu()
+
+
+def _seen(
+    camera: Camera, T_keyframe_world: Float[Tensor, "k 4 4"], points_world: Float[Tensor, "n 3"], border_px: float
+) -> Float[Tensor, " k"]:
+    """Return, for each of some keyframes with one camera, the fraction of the points that falls into its image."""
+    rotated = points_world @ T_keyframe_world[:, :3, :3].mT
+    pixels, depth = camera.project(rotated + T_keyframe_world[:, None, :3, 3])
+    border = min(border_px, 0.1 * min(camera.width, camera.height))
+    return (camera.contains(pixels, border) & (depth > 0)).float().mean(-1)
+
+
+def _blocks(keyframes: Sequence[Frame]) -> Iterator[tuple[Camera, Float[Tensor, "k 4 4"]]]:
+    """Yield keyframes in blocks that fit a cache and have one camera: what they cost grows with the run."""
+    with torch.no_grad():
+        for camera, group in itertools.groupby(keyframes, key=lambda keyframe: keyframe.camera):
+            block = list(group)
+            for start in range(0, len(block), BLOCK):
+                poses = stacked([keyframe.pose for keyframe in block[start : start + BLOCK]])
+                yield camera, se3.inverse(poses)
 
 
 def _random(keyframes: Sequence[Frame], frame: Frame, count: int, generator: torch.Generator) -> list[Frame]:

@@ -1,5 +1,6 @@
 """A pose that an optimiser can move."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import torch
@@ -9,7 +10,7 @@ from torch import Tensor, nn
 from xrdslam.core.errors import DataError
 from xrdslam.core.geometry import se3, so3
 
-__all__ = ["OptimizablePose", "PivotedPose", "RotationKind"]
+__all__ = ["OptimizablePose", "PivotedPose", "RotationKind", "stacked"]
 
 RotationKind = Literal["axis_angle", "quaternion"]
 
@@ -116,3 +117,13 @@ class PivotedPose(OptimizablePose):
         """Return T_world_camera, differentiable in both parameters."""
         rotation_world_camera = self.rotation_matrix().mT
         return se3.compose(rotation_world_camera, self.pivot_world - rotation_world_camera @ self.translation)
+
+
+def stacked(poses: Sequence[OptimizablePose]) -> Float[Tensor, "n 4 4"]:
+    """Return T_world_camera of several poses, worked out at once where they have the same parameters."""
+    kinds = {(type(pose), pose.kind) for pose in poses}
+    if kinds not in ({(OptimizablePose, "axis_angle")}, {(OptimizablePose, "quaternion")}):
+        return torch.stack([pose.matrix() for pose in poses])
+    rotations = torch.stack([pose.rotation for pose in poses])
+    exponential = so3.exp if poses[0].kind == "axis_angle" else so3.from_quat_wxyz
+    return se3.compose(exponential(rotations), torch.stack([pose.translation for pose in poses]))
