@@ -23,8 +23,8 @@ import matplotlib.pyplot as plt
 __all__ = ["Soak", "read_timing"]
 
 SETTINGS = (
-    "algo=splatam", "preset=fast", "dataset=synthetic/room0", "dataset.num_frames=2000", "dataset.width=160",
-    "dataset.height=120", "evaluation.every=200", "engine.progress=false", "report=false",
+    "algo=splatam", "preset=fast", "dataset=synthetic/room0", "dataset.num_frames=2000", "dataset.width=120",
+    "dataset.height=90", "evaluation.every=200", "engine.progress=false", "report=false",
 )  # fmt: skip
 WARM_UP = 200
 """Frames that slopes leave out: kernels are compiled, allocators fill."""

@@ -8,6 +8,7 @@ from xrdslam.core.errors import RunError
 from xrdslam.core.frame import Frame
 from xrdslam.core.mapping import MappingResult
 from xrdslam.core.tracking import TrackingResult
+from xrdslam.engine.heap import EVERY, give_back
 from xrdslam.engine.profile import FrameCost, Profile
 
 __all__ = ["Mapper", "Tracker"]
@@ -53,6 +54,7 @@ class Mapper:
     def __init__(self, algorithm: Algorithm, profile: Profile) -> None:
         self.algorithm = algorithm
         self.profile = profile
+        self._num_frames = 0
 
     def step(self, frame: Frame, cost: FrameCost) -> MappingResult | None:
         """Map a frame where it is due; RunError where the loss is no number: such a map is lost, and so is the rest."""
@@ -64,6 +66,9 @@ class Mapper:
                 f"mapping of frame {frame.index} diverged: its loss is {result.loss} after {result.iterations} "
                 "iterations; lower the map's learning rates, or leave the frame out with dataset.frames"
             )
+        self._num_frames += 1
+        if self._num_frames % EVERY == 0:
+            give_back()
         cost.map_size = self.algorithm.model.size
         cost.is_keyframe = bool(self.algorithm.keyframes) and self.algorithm.keyframes[-1] is frame
         return result
