@@ -143,7 +143,7 @@ def main() -> int:
     parser.add_argument("settings", nargs="*", metavar="setting=value", help="laid over the soak's own")
     parser.add_argument("--out", type=Path, default=Path("outputs/soak"), help="the run's folder")
     parser.add_argument("--read", action="store_true", help="draw what lies in the folder, without a run")
-    parser.add_argument("--allowed", type=float, default=10.0, help="creep of memory [MiB per 1000 frames]")
+    parser.add_argument("--allowed", type=float, default=20.0, help="creep of memory [MiB per 1000 frames]")
     options = parser.parse_args()
     if not options.read:
         command = [sys.executable, "-m", "xrdslam", *SETTINGS, *options.settings, f"run_dir={options.out}"]
