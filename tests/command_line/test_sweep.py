@@ -22,9 +22,16 @@ from xrdslam.engine.recorded import read_config, typed_config
 
 LAUNCHERS = {"joblib": "joblib", "ray": "ray", "submitit_local": "submitit"}
 SMALL = ["algo=toy", "dataset=synthetic/room0", "dataset.frames=[0,2,1]", "dataset.size=[32,24]", "report=false"]
-PATIENCE_S = 120
+SMALL += [
+    "engine.progress=false",
+    "evaluation.mesh_samples=0",
+    "evaluation.trajectory_pictures=false",
+    "sweep.dir=here",
+]
+PATIENCE_S = 240
 PLUGIN = '''
-"""Ends the process of a run with seed 1; with seed 5 or 6 says that it is there, and waits to be told to end."""
+"""Ends the process of a run with seed 1; with seed 5 or 6 says that it is there, and waits to be told to end. One with
+seed 7 it ends at the third frame, once."""
 import os, signal
 from pathlib import Path
 from xrdslam.core.hookspecs import hookimpl
@@ -37,6 +44,11 @@ def xrdslam_run_started(run):
         (run.directory.path / "begun").write_text(str(os.getpid()))
         while True:
             signal.pause()
+
+@hookimpl
+def xrdslam_frame_tracked(run, frame, result):
+    if run.config.seed == 7 and frame.index == 2 and not run.resumed_after:
+        os.kill(os.getpid(), signal.SIGKILL)
 '''
 Sweep = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -58,7 +70,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "xrdslam", "-m", *SMALL, "engine.progress=false", "sweep.dir=here", *arguments]
+    return [sys.executable, "-m", "xrdslam", "-m", *SMALL, *arguments]
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +133,24 @@ def test_a_second_call_leaves_out_what_is_done_and_nothing_else(swept: tuple[Pat
     assert "seed: 2" in (folder / "here" / "algo.map_every=1,seed=2" / "config.yaml").read_text()
 
 
+def test_a_job_that_left_a_checkpoint_is_resumed_from_there(tmp_path: Path) -> None:
+    env = environment(tmp_path / "plugin")
+
+    def sweep(*more: str) -> subprocess.CompletedProcess[str]:
+        asked = command("seed=7", "dataset.frames=[0,4,1]", "engine.checkpoint_every=1", *more)
+        return subprocess.run(
+            asked, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+        )
+
+    assert sweep().returncode == 1
+    run_dir = tmp_path / "here" / "run"  # nothing is swept: nothing to be named by
+    assert [path.name for path in (run_dir / "checkpoint").iterdir()] == ["after_frame_000001.safetensors"]
+    answer = sweep("sweep.skip_done=true")
+    assert answer.returncode == 0, answer.stderr
+    assert "resumed after frame 1" in (run_dir / "log.txt").read_text()
+    assert len((run_dir / "trajectory" / "final.txt").read_text().splitlines()) == 5  # with its heading
+
+
 def test_results_are_taken_only_where_the_very_run_came_to_its_end(swept: tuple[Path, Sweep], tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     shutil.copytree(swept[0] / "here" / "algo.map_every=1,seed=0", run_dir)
@@ -161,7 +191,7 @@ def test_launchers_run_jobs_side_by_side_on_their_share_of_the_cores(launcher: s
     env = environment(tmp_path / "plugin")
     asked = command(f"launcher={launcher}", "sweep.jobs=2", "seed=0,1", "evaluation.every=2")
     answer = subprocess.run(
-        asked, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=2 * PATIENCE_S
+        asked, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=PATIENCE_S
     )
     assert answer.returncode == 1, answer.stderr
     assert statuses(tmp_path / "here") == {"seed=0": "done", "seed=1": "failed"}

@@ -20,7 +20,7 @@ from xrdslam.doctor import computing, installation, machine, places
 from xrdslam.doctor.examination import checks, examine, main
 from xrdslam.doctor.finding import Finding, fail, ok, warn
 
-PATIENCE_S = 120
+PATIENCE_S = 240
 
 
 def only(findings: Iterable[Finding]) -> Finding:

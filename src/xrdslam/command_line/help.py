@@ -30,6 +30,7 @@ Common settings
   seed=0  device=cpu  threads=0 (all)  run_dir=<folder>
 
 Your own data: `python -m xrdslam.datasets inspect <path>` says what it is and how to run it
+Does it not run? `python -m xrdslam.doctor`
 More: --hydra-help, `python -m xrdslam.plugins`, eval "$(xrdslam -sc install=bash)" for completion"""
 
 
