@@ -3,6 +3,7 @@
 import torch
 
 from benchmarks.interleaved import median_seconds
+from benchmarks.kernels.speedup import speedups
 from benchmarks.metric import Metric
 from xrdslam.ops.voxel_features import voxel_features, voxel_features_torch
 from xrdslam.ops.voxel_hash import SparseVoxels, traverse, traverse_torch
@@ -29,15 +30,9 @@ def voxels() -> list[Metric]:
     at = torch.randint(len(grid), (100_000,), generator=g).sort().values
     points = ((grid.coords[at] + torch.rand(len(at), 3, generator=g)) * grid.voxel_m).requires_grad_()
     table = torch.randn(grid.num_vertices, 16, generator=g).requires_grad_()
-    upstream = torch.randn(len(at), 16, generator=g)
-    calls = {"twin": voxel_features_torch, "kernel": voxel_features}
-    forward = median_seconds({n: (lambda call=call: call(points, at, table, grid), 1) for n, call in calls.items()})
-    graphs = {name: call(points, at, table, grid) for name, call in calls.items()}
-    leaves = (points, table)
-    backward = median_seconds(
-        {n: (lambda o=o: torch.autograd.grad(o, leaves, upstream, retain_graph=True), 1) for n, o in graphs.items()}
+    return metrics + speedups(
+        "kernels/voxels/features",
+        lambda: voxel_features_torch(points, at, table, grid),
+        lambda: voxel_features(points, at, table, grid),
+        (points, table),
     )
-    for name, seconds in (("forward", forward), ("backward", backward)):
-        key = f"kernels/voxels/features_{name}_speedup"
-        metrics.append(Metric(key, seconds["twin"] / seconds["kernel"], "x twin", "higher", 0.4))
-    return metrics

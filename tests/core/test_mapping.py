@@ -216,13 +216,19 @@ def test_after_the_last_frame_the_map_settles_and_no_pose_moves(
     original = GroupedOptimiser.step
 
     def noted(self: GroupedOptimiser, iteration: int) -> None:
-        rates.append(self.groups[0].schedule(iteration))
+        rates.append(self.groups[0].lr * self.groups[0].schedule(iteration))
         original(self, iteration)
 
     window = frames(3)
     model = model_class()
     mapping = GradientMapping(
-        config(iterations=20, lr_pose_rotation=1e-2, lr_pose_translation=1e-2, final_iterations=30, final_rate=0.01)
+        config(
+            iterations=20,
+            lr_pose_rotation=1e-2,
+            lr_pose_translation=1e-2,
+            final_iterations_per_keyframe=10,
+            final_rates=[2.0, 0.02],
+        )
     )
     for position, frame in enumerate(window):
         mapping.map(frame, model, window[:position])
@@ -231,8 +237,8 @@ def test_after_the_last_frame_the_map_settles_and_no_pose_moves(
     result = mapping.finish(model, window)
     assert result.iterations == len(rates) == 30
     assert result.poses == {}
-    assert rates[0] == 1
-    assert rates[15] == pytest.approx(0.1)
+    own = model.parameter_groups()[0].lr
+    assert [rates[0], rates[15]] == pytest.approx([2 * own, 0.2 * own])
     assert all(torch.equal(f.pose.matrix(), pose) for f, pose in zip(window, poses, strict=True))
 
 

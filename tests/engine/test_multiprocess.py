@@ -178,7 +178,7 @@ def test_turn_by_turn_gives_an_installed_methods_sequential_bits(tmp_path: Path,
     algo.tracking = registry.tracking_method(record.tracking).load_config()(record.tracking, iterations=3)
     algo.mapping = registry.mapping_method(record.mapping).load_config()(record.mapping, iterations=4)
     algo.mapping.first_iterations = 6
-    algo.tracking.first_iterations = algo.mapping.final_iterations = 3
+    algo.tracking.first_iterations = algo.mapping.final_iterations_per_keyframe = 3
     family = registry.dataset("synthetic")
     dataset = family.load_config()("synthetic", "room0", frames=[0, 5, 1], size=[64, 48], lighting="coarse")
     for engine in (EngineConfig(progress=False), MultiprocessConfig(progress=False)):

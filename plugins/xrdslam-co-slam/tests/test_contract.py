@@ -24,7 +24,7 @@ class TestCoSlam(AlgorithmContract):
         "tracking.border_px": 2,
         "mapping.first_iterations": 150,
         "mapping.num_pixels": 800,
-        "mapping.final_iterations": 5,
+        "mapping.final_iterations_per_keyframe": 2,
     }
     accuracy = 0.06
 

@@ -8,7 +8,9 @@ from xrdslam.algorithms.co_slam.algorithm import CoSlam, bounds_about
 from xrdslam.algorithms.co_slam.bank import RayBank, in_world
 from xrdslam.algorithms.co_slam.config import CoSlamConfig, CoSlamMapConfig, CoSlamMappingConfig
 from xrdslam.algorithms.co_slam.mapping import CoSlamMapping
+from xrdslam.algorithms.co_slam.model import CoSlamMap
 from xrdslam.core.algorithm import Scene
+from xrdslam.core.batch import RayBatch, Stage
 from xrdslam.core.errors import ConfigError, PluginError
 from xrdslam.core.optimisation import GroupedOptimiser
 from xrdslam.methods.config import GroundTruthTrackingConfig
@@ -139,12 +141,22 @@ def test_bounds_that_are_no_box_are_refused(bounds: list[float]) -> None:
         CoSlamMapConfig(bounds=bounds)
 
 
-def test_the_map_settles_on_every_keyframes_rays_after_the_last_frame() -> None:
-    algorithm = _run(_algorithm(final_iterations=7), count=3)
-    assert algorithm.mapping.bank.indices == [0, 1], "the last keyframe's rays are not banked yet"
-    final = algorithm.trajectory.current()
-    table = algorithm.model.field.table.detach().clone()
+def test_the_map_settles_on_whole_keyframes_after_the_last_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    algorithm = _run(_algorithm(final_iterations_per_keyframe=2), count=3)
+    final, table = algorithm.trajectory.current(), algorithm.model.field.table.detach().clone()
+    banked = {tuple(ray) for ray in algorithm.mapping.bank.rays[:, 3:].tolist()}
+    drawn: list[RayBatch] = []
+    losses = CoSlamMap.losses
+
+    def noted(self: CoSlamMap, batch: RayBatch, stage: Stage) -> dict[str, Tensor]:
+        drawn.append(batch)
+        return losses(self, batch, stage)
+
+    monkeypatch.setattr(CoSlamMap, "losses", noted)
     algorithm.finish()
-    assert algorithm.mapping.bank.indices == [0, 1, 2]
+    assert len(drawn) == 6
+    seen = {tuple(ray) for b in drawn for ray in torch.cat((b.rgb, b.depth[:, None]), 1).tolist()}
+    assert len(seen - banked) > len(seen) / 2, "pixels that no keyframe left in the bank"
+    assert all(len(b.frame_slot.unique()) == 3 for b in drawn), "of every keyframe"
     assert (algorithm.model.field.table - table).abs().max() > 0
     assert torch.equal(algorithm.trajectory.current(), final)

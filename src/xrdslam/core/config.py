@@ -115,16 +115,19 @@ class IterativeMappingConfig(MappingConfig):
     """Rays per iteration over the whole window, for maps that take rays."""
     keep_optimiser: bool = False
     """Keep the optimiser's moments from one mapped frame to the next."""
-    final_iterations: int = 0
-    """Iterations over all keyframes after the last frame, poses fixed; 0 leaves them out."""
-    final_rate: float = 0.1
-    """What learning rates have fallen to, as a factor, at the end of them: the map settles."""
+    final_iterations_per_keyframe: int = 0
+    """Iterations over all keyframes after the last frame, so many for each of them, poses fixed; 0 leaves them out."""
+    final_rates: list[float] = field(default_factory=lambda: [1.0, 0.1])
+    """Factors on the learning rates at the first and at the last of them: they fall, and the map settles."""
 
     def __post_init__(self) -> None:
         require(self.iterations >= 1, "algo.mapping.iterations", self.iterations, "be at least 1")
         require(self.first_iterations >= 0, "algo.mapping.first_iterations", self.first_iterations, "not be negative")
-        require(self.final_iterations >= 0, "algo.mapping.final_iterations", self.final_iterations, "not be negative")
-        require(0 < self.final_rate <= 1, "algo.mapping.final_rate", self.final_rate, "lie above 0, and at most at 1")
+        final = self.final_iterations_per_keyframe
+        require(final >= 0, "algo.mapping.final_iterations_per_keyframe", final, "not be negative")
+        rates = self.final_rates
+        falls = len(rates) == 2 and 0 < rates[1] <= rates[0]
+        require(falls, "algo.mapping.final_rates", rates, "be two factors above 0, the second at most the first")
         policies = ("random", "overlap", "overlap_random", "window", "all")
         require_choice("algo.mapping.keyframes", self.keyframes, policies)
         require(self.window >= 1, "algo.mapping.window", self.window, "be at least 1")

@@ -106,8 +106,8 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
         return MappingResult(optimum.iterations, float(optimum.loss), added, poses)
 
     def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
-        """Let the map settle on all keyframes where `final_iterations` are set, its rates falling, poses fixed."""
-        if not self.config.final_iterations or not keyframes or model.size == 0:
+        """Let the map settle on all keyframes where final iterations are set, its rates falling, poses fixed."""
+        if not self.config.final_iterations_per_keyframe or not keyframes or model.size == 0:
             return MappingResult()
         problem = MappingProblem(model, list(keyframes), False, keyframes[0].index, is_final=True)
         self._restore(problem)
@@ -120,7 +120,7 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
 
     def num_iterations(self, problem: MappingProblem) -> int:
         if problem.is_final:
-            return self.config.final_iterations
+            return self.config.final_iterations_per_keyframe * len(problem.window)
         first = self.config.first_iterations or self.config.iterations
         return first if problem.is_first else self.config.iterations
 
@@ -146,8 +146,9 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
         """Build the optimiser: the map's anew or with its moments kept (`keep_optimiser`), the poses' always anew."""
         groups = self.groups(problem)
         if problem.is_final:
-            fall = exponential_decay(self.config.final_rate, self.config.final_iterations)
-            groups = [dataclasses.replace(g, schedule=product(g.schedule, fall)) for g in groups]
+            first, last = self.config.final_rates
+            fall = exponential_decay(last / first, self.num_iterations(problem))
+            groups = [dataclasses.replace(g, lr=first * g.lr, schedule=product(g.schedule, fall)) for g in groups]
         built = GroupedOptimiser(groups)
         if self._optimiser is not None and self.config.keep_optimiser and not problem.is_first:
             built.take_moments(self._optimiser)

@@ -86,7 +86,8 @@ class CoSlamMappingConfig(IterativeMappingConfig):
     pose_accumulate: int = 5
     num_pixels: int = 2048
     keep_optimiser: bool = True
-    final_iterations: int = 100
+    final_iterations_per_keyframe: int = 42
+    final_rates: list[float] = field(default_factory=lambda: [1.5, 0.02])
     bank_share: float = 0.05
     """Share of a keyframe's pixels that it leaves in the bank."""
     min_current_pixels: int = 100

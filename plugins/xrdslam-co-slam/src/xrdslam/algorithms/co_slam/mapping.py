@@ -18,6 +18,9 @@ from xrdslam.core.sampling import sample_rays
 
 __all__ = ["CoSlamMapping"]
 
+_FINAL_KEYFRAMES = 64
+"""So many keyframes give rays to an iteration of the last ones: each costs a few small operations."""
+
 
 class CoSlamMapping(GradientMapping):
     """All keyframes' rays and the current frame's, all poses but the first free; poses step on summed gradients."""
@@ -33,11 +36,6 @@ class CoSlamMapping(GradientMapping):
         """Take the rays of keyframes that came since, then adjust."""
         self._take_rays(keyframes)
         return super().map(frame, model, keyframes)
-
-    def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
-        """Take the rays of the last keyframe too, then let the map settle on the bank."""
-        self._take_rays(keyframes)
-        return super().finish(model, keyframes)
 
     def _take_rays(self, keyframes: Sequence[Frame]) -> None:
         for keyframe in keyframes[len(self.bank.indices) :]:
@@ -83,14 +81,17 @@ class CoSlamMapping(GradientMapping):
         return optimum
 
     def batch(self, problem: MappingProblem) -> Batch:
-        """Draw banked rays, and rays of the current frame: its share of all, and never fewer than the least."""
+        """Draw banked rays, and rays of the current frame: its share of all, and never fewer than the least.
+
+        When the map settles, rays are drawn from whole keyframes: what the bank lacks between its pixels is colour.
+        """
         frame = problem.window[-1]
         total = self.config.num_pixels
+        if problem.is_final:
+            return self._any_rays(problem.window)
         if len(self.bank.indices) == 0:
             return sample_rays([frame], [frame.pose.matrix().detach()], total, self.generator)
         rotations, centers = self._poses(problem)
-        if problem.is_final:
-            return self.bank.draw(total, rotations, centers, self.generator)
         current = max(total // len(self.bank.indices), self.config.min_current_pixels)
         pose = torch.cat((torch.cat((rotations[-1], centers[-1, :, None]), 1), torch.eye(4).to(centers)[3:]))
         new = sample_rays([frame], [pose], current, self.generator)
@@ -98,6 +99,12 @@ class CoSlamMapping(GradientMapping):
         new.frame_slot += len(self.bank.indices)
         parts = zip(_columns(old), _columns(new), strict=True)
         return RayBatch(*(torch.cat(pair) for pair in parts))
+
+    def _any_rays(self, keyframes: Sequence[Frame]) -> Batch:
+        drawn = torch.randperm(len(keyframes), generator=self.generator)[:_FINAL_KEYFRAMES].tolist()
+        frames = [keyframes[k] for k in drawn]
+        poses = [frame.pose.matrix().detach() for frame in frames]
+        return sample_rays(frames, poses, self.config.num_pixels, self.generator)
 
     def _poses(self, problem: MappingProblem) -> tuple[Tensor, Tensor]:
         """Return the rotations and centres of the whole window, those that move with their gradients."""
