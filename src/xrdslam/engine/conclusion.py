@@ -43,7 +43,11 @@ def conclude(run: Run, is_hurried: bool) -> Conclusion:
     one ends it.
     """
     done = Conclusion(was_interrupted=False)
-    steps: dict[str, Callable[[bool], Metrics | None]] = {"the trajectories": lambda _: save_trajectories(run)}
+    steps: dict[str, Callable[[bool], Metrics | None]] = {}
+    if not run.directory.is_there:
+        log.warning("run_dir=%s was removed during the run, and with it what had been written", run.directory.path)
+        steps["the settings"] = lambda _: run.directory.write_settings(run.config, run.device)
+    steps["the trajectories"] = lambda _: save_trajectories(run)
     if len(run.algorithm.trajectory):
         steps["the map"] = lambda is_hurried: save_map(run, with_mesh=not is_hurried)
         steps["the figures"] = lambda is_hurried: evaluate(run, with_rendering=not is_hurried)
@@ -52,11 +56,13 @@ def conclude(run: Run, is_hurried: bool) -> Conclusion:
     for what, step in steps.items():
         try:
             try:
-                found = step(is_hurried or done.was_interrupted)
+                with run.interruption.breaking(0.0):
+                    found = step(is_hurried or done.was_interrupted)
             except KeyboardInterrupt:
                 log.warning("interrupted while saving %s; leaving out what takes long", what)
                 done.was_interrupted = True
-                found = step(True)
+                with run.interruption.breaking(0.0):
+                    found = step(True)
             done.metrics = found or done.metrics
         except Exception as error:
             log.error("%s: %s", what, error, exc_info=not isinstance(error, XrdslamError | OSError))

@@ -13,6 +13,7 @@ from xrdslam.core.dataset import Dataset
 from xrdslam.core.frame import Frame
 from xrdslam.core.registry import Registry
 from xrdslam.engine.directory import RunDirectory
+from xrdslam.engine.interruption import Interruption
 from xrdslam.engine.profile import Profile
 
 __all__ = ["Run"]
@@ -38,6 +39,8 @@ class Run:
     """The frames after which the run was taken up again."""
     has_ended: bool = False
     """Whether every frame has passed."""
+    interruption: Interruption = field(default_factory=Interruption)
+    """Whether the run is asked to end, and where it may be."""
     closing: ExitStack = field(default_factory=ExitStack)
     """What an engine leaves open until everything is saved and measured."""
 

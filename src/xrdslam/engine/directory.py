@@ -15,7 +15,7 @@ from torch import Tensor
 
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import RunError
-from xrdslam.core.files import write_text
+from xrdslam.core.files import remove_unfinished, write_text
 from xrdslam.core.geometry import so3
 from xrdslam.engine.build import settings_of
 
@@ -54,11 +54,22 @@ class RunDirectory:
         """Remove the results of an earlier run: where this one fails they would be mistaken for its own."""
         for path in (self.map_state, self.trajectory_state, self.path / "metrics.json", self.path / "timing.csv"):
             path.unlink(missing_ok=True)
+        remove_unfinished(self.path)
 
     @property
     def renders(self) -> Path:
         """Where pictures go."""
         return self.path / "renders"
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the run's settings are where they were written."""
+        return (self.path / "config.yaml").is_file()
+
+    def write_settings(self, config: RunConfig, device: str) -> None:
+        """Write what is known before the first frame."""
+        self.write_config(config)
+        self.write_environment(config, device)
 
     def write_config(self, config: RunConfig) -> None:
         """Write config.yaml: every setting of the run, resolved."""

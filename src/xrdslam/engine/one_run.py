@@ -1,14 +1,11 @@
 """One run: check, build, go, save, evaluate, summarise."""
 
 import logging
-import signal
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from xrdslam.core.config import RunConfig
 from xrdslam.core.errors import RunError, XrdslamError
@@ -96,17 +93,26 @@ def _built(config: RunConfig, run_dir: Path, registry: Registry) -> Run:
 def _go(this: Run) -> RunSummary:
     run_dir = this.directory.path
     try:
-        this.directory.write_config(this.config)
-        this.directory.write_environment(this.config, this.device)
+        this.directory.write_settings(this.config, this.device)
         log_file = _log_file(run_dir / "log.txt")
     except OSError as error:
         raise RunError(
             f"run_dir={run_dir}: cannot be written ({error}); free space, or choose another folder"
         ) from error
-    with _logging_to(log_file), _terminable(), this.closing, _watched(this.config, this.registry):
+    with _logging_to(log_file), this.interruption, _closing(this), _watched(this.config, this.registry):
         if this.resumed_after:
             log.info("resumed after frame %d", this.resumed_after[-1])
         return _carry_out(this)
+
+
+@contextmanager
+def _closing(this: Run) -> Iterator[None]:
+    """Close what an engine left open, undisturbed: it may be a process."""
+    try:
+        yield
+    finally:
+        with this.interruption.shielded():
+            this.closing.close()
 
 
 def _carry_out(this: Run) -> RunSummary:
@@ -182,20 +188,3 @@ def _logging_to(handler: logging.Handler) -> Iterator[None]:
         root.removeHandler(handler)
         with suppress(OSError):  # a full disk has been reported
             handler.close()
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM end a run as Ctrl-C does (only the main thread can ask for signals)."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

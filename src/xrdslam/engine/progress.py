@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from types import TracebackType
 
 from rich.console import Console
@@ -56,8 +57,9 @@ class ProgressReport:
             self._last_line = time.perf_counter()
             remaining = (self.total - self._counts["frames"]) / self._rate()
             line = f"{self.title}: frame {self._counts['frames']}/{self.total}, {self._status(cost)}"
-            sys.stderr.write(f"{line}, {remaining:.0f} s remain\n")
-            sys.stderr.flush()
+            with suppress(OSError):  # who read it is gone; the run goes on
+                sys.stderr.write(f"{line}, {remaining:.0f} s remain\n")
+                sys.stderr.flush()
 
     def _count(self, cost: FrameCost) -> None:
         self._counts["frames"] += 1

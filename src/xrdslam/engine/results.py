@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 
 from xrdslam.core.camera import Camera
-from xrdslam.core.errors import XrdslamError
+from xrdslam.core.errors import RunError, XrdslamError
 from xrdslam.core.files import write_text
 from xrdslam.core.model import Rendering, View
 from xrdslam.core.saved_state import save_state
 from xrdslam.engine.checkpoints import header_of, known_poses
 from xrdslam.engine.context import Run
 from xrdslam.engine.profile import PROTOCOL
+from xrdslam.engine.stages import not_finite
 from xrdslam.evaluation import EvalMetrics, JsonValue, Metrics, Trajectories
 from xrdslam.report.page import write_report
 
@@ -46,9 +47,12 @@ def save_trajectories(run: Run) -> None:
 def save_map(run: Run, with_mesh: bool = True) -> None:
     """Write the map's state, and whatever views of it the method offers; one that fails is said and skipped.
 
-    OSError, after the others were tried, where the system refuses a file: the disk is full, or gone.
+    RunError where it holds what is no number. OSError, after the others were tried, where the system refuses a file:
+    the disk is full, or gone.
     """
     model = run.algorithm.model
+    if wrong := not_finite(model):
+        raise RunError(f"the map is not saved, for it is spoilt: {wrong[0]}; what else the run found is saved")
     save_state(run.directory.map_state, model.state_dict(), header_of(run))
     if model.size == 0:
         log.warning("the map is empty: no mesh, cloud or splats are written")

@@ -8,7 +8,7 @@ from xrdslam.core.frame import Frame
 from xrdslam.datasets.prefetch import prefetch
 from xrdslam.engine.checkpoints import Checkpoints
 from xrdslam.engine.context import Run
-from xrdslam.engine.interruption import Interruption
+from xrdslam.engine.interruption import GRACE_S
 from xrdslam.engine.profile import FrameCost, rss_mib
 from xrdslam.engine.progress import ProgressReport
 from xrdslam.engine.stages import Mapper, Tracker
@@ -25,15 +25,15 @@ def run_sequential(run: Run) -> None:
     """
     checkpoints = Checkpoints(run)
     try:
-        with Interruption() as interruption:
-            _go_through(run, checkpoints, interruption)
+        with run.interruption.breaking(GRACE_S):
+            _go_through(run, checkpoints)
     except (KeyboardInterrupt, Exception):
         checkpoints.save_if_whole()
         log.warning("%s", checkpoints.advice())
         raise
 
 
-def _go_through(run: Run, checkpoints: Checkpoints, interruption: Interruption) -> None:
+def _go_through(run: Run, checkpoints: Checkpoints) -> None:
     tracker = Tracker(run.algorithm, run.scene, run.profile)
     mapper = Mapper(run.algorithm, run.profile)
     progress = ProgressReport(run.title, len(run.dataset), run.config.engine.progress, run.profile.frames)
@@ -46,10 +46,10 @@ def _go_through(run: Run, checkpoints: Checkpoints, interruption: Interruption) 
                     _step(run, tracker, mapper, frame, cost)
                 progress.update(cost)
                 checkpoints.save_if_due()
-                interruption.check()
+                run.interruption.check()
                 asked = time.perf_counter()
-        with run.profile.finishing(), checkpoints.changing():
-            run.algorithm.finish()
+        with checkpoints.changing():
+            mapper.finish()
 
 
 def _step(run: Run, tracker: Tracker, mapper: Mapper, frame: Frame, cost: FrameCost) -> None:

@@ -6,7 +6,7 @@ import signal
 from collections.abc import Sequence
 
 from xrdslam.core.frame import Frame
-from xrdslam.core.mapping import GradientMapping, MappingResult
+from xrdslam.core.mapping import GradientMapping, MappingMethod, MappingResult
 from xrdslam.core.model import Model
 from xrdslam.core.tracking import GradientTracking, TrackingResult
 from xrdslam.core.trajectory import Trajectory
@@ -18,6 +18,9 @@ __all__ = [
     "KilledMapping",
     "KilledTracking",
     "LeavingTracking",
+    "SpoiltAtLast",
+    "SpoiltFusion",
+    "SpoiltMapping",
 ]
 
 FRAME = 3
@@ -66,6 +69,34 @@ class KilledMapping(GradientMapping):
         if frame.index == FRAME:
             os.kill(os.getpid(), signal.SIGKILL)
         return super().map(frame, model, keyframes)
+
+
+class SpoiltMapping(GradientMapping):
+    """Leaves a map that is no number, from a loss that was one: the step that a gradient of NaN makes."""
+
+    def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        result = super().map(frame, model, keyframes)
+        if frame.index == FRAME:
+            next(model.parameters()).detach()[0] = float("nan")
+        return result
+
+
+class SpoiltAtLast(GradientMapping):
+    """Leaves a map that is no number when it refines it after the last frame."""
+
+    def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        next(model.parameters()).detach()[0] = float("nan")
+        return MappingResult()
+
+
+class SpoiltFusion(MappingMethod):
+    """Descends nothing, and leaves a map that is no number all the same."""
+
+    def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
+        added = model.extend(frame, frame.pose.matrix().detach())
+        if frame.index == FRAME:
+            next(model.parameters()).detach()[0] = float("nan")
+        return MappingResult(num_added=added)
 
 
 class DivergingMapping(GradientMapping):

@@ -6,6 +6,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,10 +20,12 @@ from types import FrameType
 from typing import Any
 
 from xrdslam.core.errors import XrdslamError
-from xrdslam.engine.multiprocess.signals import deaf
+from xrdslam.engine.multiprocess.signals import STOPPING, deaf
 
 __all__ = ["Asked", "Done", "Failure", "LogRecord", "Say", "start"]
 
+PATIENCE_S = 10.0
+"""How long a process that was asked to end leaves that to its parent."""
 Say = Callable[[object], None]
 """Tells the parent something, from any thread."""
 
@@ -83,7 +86,7 @@ class _Received:
 def start(role: str, function: Callable[..., None], *args: object) -> tuple[SpawnProcess, Connection]:
     """Start a process that calls `function(*args, say)`; return it, and where its reports come from.
 
-    It logs as this process does, and ends with it. SIGINT it never hears; SIGTERM it hands on.
+    It logs as this process does, and ends with it. SIGINT and SIGHUP it never hears; SIGTERM it hands on.
     """
     context = get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
@@ -122,14 +125,21 @@ def _be(role: str, level: int, sealed: _Received, report: Connection) -> None:
 
 
 def _listen(say: Say) -> None:
-    """Be deaf to Ctrl-C, which reaches every process of a terminal: the parent decides. Hand on SIGTERM."""
+    """Be deaf to what a terminal sends to every process of it: the parent decides. Hand on SIGTERM."""
+
+    def tell(number: int) -> None:
+        with suppress(OSError):
+            say(Asked(number))
+        time.sleep(PATIENCE_S)
+        os._exit(1)
 
     def hand_on(number: int, _frame: FrameType | None) -> None:
-        threading.Thread(target=say, args=(Asked(number),), daemon=True).start()  # this one may be speaking
+        threading.Thread(target=tell, args=(number,), daemon=True).start()  # this one may be speaking
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, hand_on)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
 
 
 def _failure(error: Exception) -> Failure:

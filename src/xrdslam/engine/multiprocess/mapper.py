@@ -58,8 +58,7 @@ class MapperProcess:
             self.channels.viz_buffer.ring()
         self._load_changes(self.channels.changes.version)
         if len(self.replica.trajectory):
-            with self.profile.finishing():
-                self.algorithm.finish()
+            self.mapper.finish()
             self._publish()
         profile, changes = self.profile, self.replica.trajectory.take_changes()
         spent = self.meter.read()

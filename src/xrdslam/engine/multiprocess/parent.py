@@ -3,7 +3,6 @@
 import logging
 import pickle
 import time
-from collections.abc import Callable
 from contextlib import closing, suppress
 from multiprocessing import get_context
 from typing import Any
@@ -22,7 +21,6 @@ from xrdslam.engine.multiprocess.messages import Finished, Mapped, Paused, Track
 from xrdslam.engine.multiprocess.processes import Processes
 from xrdslam.engine.multiprocess.replica import Replica
 from xrdslam.engine.multiprocess.resumption import gathered, hand_on
-from xrdslam.engine.multiprocess.signals import stop_signals
 from xrdslam.engine.multiprocess.tracker import track_all
 from xrdslam.engine.multiprocess.watching import Visualizer
 from xrdslam.engine.multiprocess.worker import Job
@@ -45,20 +43,20 @@ def run_multiprocess(run: Run) -> None:
     """
     asked_s = time.perf_counter()
     checkpoints = Checkpoints(run)
-    with stop_signals() as check:
-        channels = Channels.build(get_context("spawn"), run.dataset)
-        processes = Processes(channels)
-        parent: _Parent | None = None
-        try:
-            with processes.explaining():
-                processes.start_server()
-                parent = _Parent(run, channels, checkpoints, _start_visualizer(run, channels), asked_s)
-                _start_workers(run, processes)
-                _go_through(run, parent, processes, check)
-        except (KeyboardInterrupt, Exception):
-            log.warning("%s", checkpoints.advice())
-            raise
-        finally:
+    channels = Channels.build(get_context("spawn"), run.dataset)
+    processes = Processes(channels)
+    parent: _Parent | None = None
+    try:
+        with run.interruption.breaking(GRACE_S), processes.explaining():
+            processes.start_server()
+            parent = _Parent(run, channels, checkpoints, _start_visualizer(run, channels), asked_s)
+            _start_workers(run, processes)
+            _go_through(run, parent, processes)
+    except (KeyboardInterrupt, Exception):
+        log.warning("%s", checkpoints.advice())
+        raise
+    finally:
+        with run.interruption.shielded():
             processes.end_workers()
             if parent is not None:
                 parent.take_over()
@@ -66,12 +64,12 @@ def run_multiprocess(run: Run) -> None:
             channels.close()
 
 
-def _go_through(run: Run, parent: "_Parent", processes: Processes, check: Callable[[], None]) -> None:
+def _go_through(run: Run, parent: "_Parent", processes: Processes) -> None:
     earlier = run.profile.frames
     with ProgressReport(run.title, len(run.dataset), run.config.engine.progress, earlier) as progress:
         try:
             while not parent.is_finished:
-                check()
+                run.interruption.check()
                 processes.watch(LOOK_EVERY_S)
                 parent.attend()
                 parent.follow(progress)
@@ -79,6 +77,7 @@ def _go_through(run: Run, parent: "_Parent", processes: Processes, check: Callab
             until = time.monotonic() + GRACE_S
             parent.ask_to_pause()
             while parent.may_pause and time.monotonic() < until:
+                run.interruption.check()
                 processes.watch(LOOK_EVERY_S, is_asked=True)
                 parent.follow(progress)
             raise

@@ -1,0 +1,77 @@
+"""What processes share is guarded where two may touch it, and costs the same for the last frame as for the first."""
+
+import ast
+import pickle
+import threading
+import time
+from pathlib import Path
+
+import torch
+
+import xrdslam.core
+from xrdslam.core.shared_algorithm import Entry, SharedAlgorithm
+from xrdslam.engine.multiprocess.frame_ring import FrameRing, Holder
+from xrdslam.engine.multiprocess.replica import SharedTrajectory
+from xrdslam.testing.toy_sequence import toy_sequence
+
+SOURCES = Path(next(iter(xrdslam.core.__path__))).parent
+
+
+class SlowList(list[Entry]):
+    """A list that leaves others time to come between an entry and its number."""
+
+    def append(self, entry: Entry) -> None:
+        super().append(entry)
+        time.sleep(0.002)
+
+
+def test_steps_that_are_recorded_at_the_same_time_keep_one_order() -> None:
+    shared = SharedAlgorithm()
+    shared._entries = SlowList()
+    numbers: list[tuple[int, int]] = []
+
+    def record(worker: int) -> None:
+        for step in range(10):
+            index = 100 * worker + step
+            numbers.append((shared.record(Entry("tracked", index, b"")), index))
+
+    threads = [threading.Thread(target=record, args=(worker,)) for worker in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [number for number, _ in sorted(numbers)] == list(range(40))
+    assert [entry.index for entry in shared.since(0)] == [index for _, index in sorted(numbers)]
+    assert [entry.index for entry in shared.since(38)] == [index for _, index in sorted(numbers)][38:]
+
+
+def test_no_lock_is_left_out_by_an_and() -> None:
+    """`with lock and no_grad():` enters the second alone."""
+    wrong = [
+        f"{path}:{node.lineno}"
+        for path in SOURCES.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.With | ast.AsyncWith)
+        and any(isinstance(item.context_expr, ast.BoolOp) for item in node.items)
+    ]
+    assert wrong == []
+
+
+def test_a_frame_is_told_in_as_many_bytes_however_long_the_trajectory_is() -> None:
+    trajectory, sizes = SharedTrajectory(), []
+    for index in range(300):
+        trajectory.append(index, 10**9 + index, torch.eye(4))
+        if index == 0:
+            trajectory.make_keyframe(index)
+        sizes.append(len(pickle.dumps(trajectory.take_changes())))
+    assert max(sizes[1:]) <= sizes[1] + 16  # a larger number may take a byte more
+    assert sizes[-1] < 4096
+
+
+def test_a_frame_is_handed_over_without_its_images() -> None:
+    sequence = toy_sequence(2, 320, 240)
+    ring = FrameRing(sequence)
+    for frame in ring.fill(sequence.frames(), [Holder.TRACKER]):
+        placed = ring.take(frame.index)
+        assert len(pickle.dumps(placed)) < 4096 < frame.rgb.nbytes / 100
+        assert torch.equal(ring.frame(placed).rgb, sequence[frame.index].rgb)
