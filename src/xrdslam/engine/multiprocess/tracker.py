@@ -13,6 +13,7 @@ from xrdslam.engine.multiprocess.channels import Channels, wait_until
 from xrdslam.engine.multiprocess.frame_ring import Holder, PlacedFrame
 from xrdslam.engine.multiprocess.messages import Meter, Paused, Tracked
 from xrdslam.engine.multiprocess.replica import TRACKING, Replica
+from xrdslam.engine.multiprocess.resumption import load_tracker_state, tracker_state
 from xrdslam.engine.multiprocess.shared_state import Published
 from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost, Profile, rss_mib
@@ -67,7 +68,7 @@ class TrackerProcess:
         for _ in self.replica.news():
             self._map = self.channels.map.latest()
             self.replica.load_map(self._map)
-            self.algorithm.tracking.load_state_dict(self.channels.tracking.latest().tensors)
+            load_tracker_state(self.algorithm, self.channels.tracking.latest().tensors)
             restore_streams(self.job.streams["tracker"])
 
     def _step(self, placed: PlacedFrame, frame: Frame, cost: FrameCost) -> None:
@@ -100,7 +101,7 @@ class TrackerProcess:
     def _pause(self, index: int) -> None:
         """Wait until the mapper has caught up, say what there is to be known, wait until it is written down."""
         self._wait_for_the_map(may_lag=0)
-        self.channels.tracking.publish(self.algorithm.tracking.state_dict())
+        self.channels.tracking.publish(tracker_state(self.algorithm))
         self.replica.record(Paused(index, streams(), self.meter.read()))
         counters = self.channels.counters
         wait_until(lambda: counters.saved == counters.tracked, self.channels.event_processed)
