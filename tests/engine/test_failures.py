@@ -52,7 +52,8 @@ def plugin() -> Plugin:
 
 def go(run_dir: Path, plugin: Plugin, mapping: str = "toy", **changes: Any) -> Any:
     config = victim_config(run_dir, "sequential")
-    config.algo.tracking.iterations = config.algo.mapping.iterations = config.algo.mapping.final_iterations = 3
+    config.algo.tracking.iterations = config.algo.mapping.iterations = 3
+    config.algo.mapping.final_iterations_per_keyframe = 1
     config.algo.mapping.name = mapping
     config.evaluation.pictures_every, config.evaluation.trajectory_pictures = 0, False
     config = dataclasses.replace(config, report=False, **{"engine": EngineConfig(progress=False), **changes})

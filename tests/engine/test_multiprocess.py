@@ -61,6 +61,7 @@ class Toy:
     def xrdslam_tracking_methods(self) -> list[TrackingMethodInfo]:
         names = {"toy": "xrdslam.core.tracking:GradientTracking"}
         wrong = {"failing": "FailingTracking", "killed": "KilledTracking", "leaving": "LeavingTracking"}
+        wrong |= {"vanishing": "VanishingTracking"}
         names |= {name: f"{WRONG}{target}" for name, target in wrong.items()}
         return [TrackingMethodInfo(name, target) for name, target in names.items()]
 
@@ -217,6 +218,7 @@ def assert_saved(folder: Path, frames: int) -> None:
     ("tracking", "mapping", "message", "frames"),
     [
         ("killed", "toy", "the tracker was killed by SIGKILL", 3),
+        ("vanishing", "toy", "the tracker was killed by SIGKILL", 6),
         ("leaving", "toy", "the tracker ended before its work was done, with exit status 0", 3),
         ("toy", "failing", "the mapper failed: ZeroDivisionError: a fault of the mapper", 4),
     ],
@@ -230,8 +232,10 @@ def test_a_worker_that_dies_ends_the_run_which_says_why_and_saves(
     message: str,
     frames: int,
 ) -> None:
+    config = config_of(tracking, mapping)
+    config.algo.mapping.final_iterations_per_keyframe = 2000  # the mapper is not done before the parent looks
     with pytest.raises(RunError, match=message):
-        run(config_of(tracking, mapping), tmp_path, registry)
+        run(config, tmp_path, registry)
     assert_saved(tmp_path, frames)
     if mapping == "failing":
         assert "in map\n" in (tmp_path / "log.txt").read_text()  # the worker's own traceback

@@ -27,7 +27,7 @@ def victim_config(run_dir: Path, engine: str = "multiprocess", is_watched: bool 
     kind = MultiprocessConfig if engine == "multiprocess" else EngineConfig
     config = toy_config(kind(checkpoint_every=4), NUM_FRAMES, run_dir=str(run_dir), report=True)
     config.algo.tracking.iterations = config.algo.mapping.iterations = 20
-    config.algo.mapping.final_iterations = 200
+    config.algo.mapping.final_iterations_per_keyframe = 35
     config.evaluation.pictures_every, config.evaluation.trajectory_pictures = 6, True
     if is_watched:
         config.viewer = MisbehavingViewerConfig(heard=str(run_dir / "heard.txt"))

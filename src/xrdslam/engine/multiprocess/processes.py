@@ -85,11 +85,14 @@ class Processes:
             raise self._cause()
 
     def _failed(self) -> dict[str, _Process]:
-        """Return the processes that ended otherwise than they should, everything read that they said."""
-        ended = [role for role, held in self._running.items() if held.process.exitcode is not None]
+        """Return the processes that ended otherwise than they should, everything read that they said.
+
+        One that has done its work may be killed too before what it handed on has left it: a queue's thread writes last.
+        """
+        ended = {role: held.process.exitcode for role, held in self._running.items()}
         for role, held in self._running.items():
             self._receive(role, held)
-        return {r: p for r, p in self._running.items() if p.failure is not None or (r in ended and not p.is_done)}
+        return {r: p for r, p in self._running.items() if p.failure or ended[r] not in (None, 0 if p.is_done else None)}
 
     @contextmanager
     def explaining(self) -> Iterator[None]:
