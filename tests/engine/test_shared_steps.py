@@ -4,6 +4,7 @@ import ast
 import pickle
 import threading
 import time
+from multiprocessing import get_context
 from pathlib import Path
 
 import torch
@@ -12,6 +13,8 @@ import xrdslam.core
 from xrdslam.core.shared_algorithm import Entry, SharedAlgorithm
 from xrdslam.engine.multiprocess.frame_ring import FrameRing, Holder
 from xrdslam.engine.multiprocess.replica import SharedTrajectory
+from xrdslam.engine.multiprocess.shared_event import SharedEvent
+from xrdslam.testing.misbehaving import sleep_through
 from xrdslam.testing.toy_sequence import toy_sequence
 
 SOURCES = Path(next(iter(xrdslam.core.__path__))).parent
@@ -55,6 +58,23 @@ def test_no_lock_is_left_out_by_an_and() -> None:
         and any(isinstance(item.context_expr, ast.BoolOp) for item in node.items)
     ]
     assert wrong == []
+
+
+def test_an_event_never_waits_for_a_sleeper_that_was_killed() -> None:
+    event, asleep = SharedEvent(), SharedEvent()
+    sleeper = get_context("spawn").Process(target=sleep_through, args=(event, asleep), daemon=True)
+    sleeper.start()
+    assert asleep.wait(60.0)
+    sleeper.kill()
+    sleeper.join()
+    setter = threading.Thread(target=event.set, daemon=True)
+    setter.start()
+    setter.join(10.0)
+    assert not setter.is_alive()
+    assert event.is_set()
+    event.clear()
+    assert not event.is_set()
+    event.clear()
 
 
 def test_a_frame_is_told_in_as_many_bytes_however_long_the_trajectory_is() -> None:

@@ -11,6 +11,7 @@ from xrdslam.core.mapping import GradientMapping, MappingMethod, MappingResult
 from xrdslam.core.model import Model
 from xrdslam.core.tracking import GradientTracking, TrackingResult
 from xrdslam.core.trajectory import Trajectory
+from xrdslam.engine.multiprocess.shared_event import SharedEvent
 
 __all__ = [
     "DivergingMapping",
@@ -23,6 +24,7 @@ __all__ = [
     "SpoiltFusion",
     "SpoiltMapping",
     "VanishingTracking",
+    "sleep_through",
 ]
 
 FRAME = 3
@@ -116,3 +118,9 @@ class DivergingMapping(GradientMapping):
     def map(self, frame: Frame, model: Model, keyframes: Sequence[Frame]) -> MappingResult:
         result = super().map(frame, model, keyframes)
         return dataclasses.replace(result, loss=float("nan")) if frame.index == FRAME else result
+
+
+def sleep_through(event: SharedEvent, asleep: SharedEvent) -> None:
+    """Say that it sleeps, and wait for an event."""
+    asleep.set()
+    event.wait()

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.context import SpawnContext
 from multiprocessing.queues import Queue
-from multiprocessing.synchronize import Event
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from xrdslam.core.dataset import Dataset
 from xrdslam.core.shared_algorithm import AlgorithmManager, Steps
 from xrdslam.engine.multiprocess.frame_ring import FrameRing
 from xrdslam.engine.multiprocess.memory import SharedMemory
+from xrdslam.engine.multiprocess.shared_event import SharedEvent
 from xrdslam.engine.multiprocess.shared_state import SharedState
 from xrdslam.engine.multiprocess.viz_buffer import NewestFrame
 
@@ -102,9 +102,9 @@ class Channels:
     mapping: SharedState
     """The mapper's."""
     counters: Counters
-    event_ready: Event
+    event_ready: SharedEvent
     """The tracker handed a frame over."""
-    event_processed: Event
+    event_processed: SharedEvent
     """The mapper is done with a frame."""
     map_buffer: "Queue[int]"
     """Tracker to mapper: the index of each frame in order, then -1."""
@@ -123,15 +123,15 @@ class Channels:
             tracking=SharedState(),
             mapping=SharedState(),
             counters=Counters(),
-            event_ready=context.Event(),
-            event_processed=context.Event(),
+            event_ready=SharedEvent(),
+            event_processed=SharedEvent(),
             map_buffer=context.Queue(),
             viz_buffer=NewestFrame(),
         )
 
     def close(self) -> None:
         """Drop what has a name while it lives: the semaphores, in /dev/shm. Frames and maps live as long as views."""
-        del self.event_ready, self.event_processed, self.map_buffer
+        del self.map_buffer
 
     def algorithm(self) -> Steps:
         """Connect to the shared algorithm; what is returned is a proxy of it."""
@@ -141,7 +141,7 @@ class Channels:
         return proxy
 
 
-def wait_until(is_due: Callable[[], bool], event: Event) -> None:
+def wait_until(is_due: Callable[[], bool], event: SharedEvent) -> None:
     """Wait until something holds; `event` says when to look. Who would set it but died is the parent's to notice."""
     while not is_due():
         event.wait()
