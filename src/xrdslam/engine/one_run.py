@@ -116,7 +116,8 @@ def _closing(this: Run) -> Iterator[None]:
 
 
 def _carry_out(this: Run) -> RunSummary:
-    this.registry.notify("xrdslam_run_started", run=this)
+    with this.interruption.breaking(0.0):  # a hook may take for ever
+        this.registry.notify("xrdslam_run_started", run=this)
     was_interrupted, failure = False, None
     try:
         ENGINES[this.config.engine.name](this)
@@ -134,7 +135,8 @@ def _carry_out(this: Run) -> RunSummary:
     end.raise_fault(this)
     if not (was_interrupted or end.was_interrupted):
         Checkpoints(this).remove()
-    this.registry.notify("xrdslam_run_finished", run=this, metrics=end.metrics)
+    with this.interruption.breaking(0.0):
+        this.registry.notify("xrdslam_run_finished", run=this, metrics=end.metrics)
     return RunSummary(end.metrics, this.directory.path, was_interrupted or end.was_interrupted)
 
 
