@@ -1,21 +1,31 @@
 """Tracking ahead of mapping: how far it may go, and that nothing is lost or done twice on the way."""
 
 import dataclasses
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from xrdslam.core.config import MultiprocessConfig
 from xrdslam.core.errors import ConfigError
+from xrdslam.core.geometry import se3
 from xrdslam.core.pose import OptimizablePose
 from xrdslam.core.saved_state import load_state
-from xrdslam.core.shared_algorithm import Entry
+from xrdslam.core.shared_algorithm import Entry, SharedAlgorithm
 from xrdslam.core.trajectory import Trajectory
 from xrdslam.engine import run
+from xrdslam.engine.build import build_dataset
 from xrdslam.engine.multiprocess import replica
+from xrdslam.engine.multiprocess.channels import Channels
+from xrdslam.engine.multiprocess.frame_ring import Holder
+from xrdslam.engine.multiprocess.mapper import MapperProcess
 from xrdslam.engine.multiprocess.messages import Finished, Mapped, Message, Tracked
+from xrdslam.engine.multiprocess.tracker import TrackerProcess
+from xrdslam.engine.multiprocess.worker import Job
+from xrdslam.engine.profile import FrameCost
 from xrdslam.testing.toy_plugin import toy_config, toy_registry
 
 NUM_FRAMES, MAX_LAG = 9, 2
@@ -109,3 +119,65 @@ def test_without_a_lag_it_is_turn_by_turn() -> None:
     assert MultiprocessConfig(sync="strict", max_lag=3).is_strict
     with pytest.raises(ConfigError, match=r"engine\.max_lag=-1"):
         MultiprocessConfig(max_lag=-1)
+
+
+class Stepped:
+    """Tracker and mapper of a run in this process; what each does when is the test's."""
+
+    def __init__(self, folder: Path, num_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        config = toy_config(MultiprocessConfig(progress=False, sync="async", max_lag=MAX_LAG), num_frames)
+        registry = toy_registry()
+        dataset = build_dataset(config, registry)
+        shared = SharedAlgorithm()
+        monkeypatch.setattr(Channels, "algorithm", lambda _channels: shared)
+        self.channels = Channels.build(get_context("spawn"), dataset)
+        job = Job(config, dataset, registry, "cpu", 1, folder, 0, {}, is_heard=False, is_watched=False)
+        self.tracker, self.mapper = TrackerProcess(job, self.channels), MapperProcess(job, self.channels)
+        self.frames = self.channels.frames.fill(dataset.frames(), [Holder.TRACKER, Holder.MAPPER])
+
+    def track(self) -> None:
+        frame = next(self.frames)
+        self.tracker._step(self.channels.frames.take(frame.index), frame, FrameCost(frame.index))
+
+    def map(self) -> None:
+        counters = self.channels.counters
+        self.mapper._step(self.mapper._next(counters.mapped))
+        counters.mapped += 1
+
+
+def test_a_frame_is_mapped_where_its_keyframe_was_moved_to_since_it_was_tracked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Stepped(tmp_path, 6, monkeypatch)
+    for _ in range(4):
+        run.track()
+        run.map()
+    run.track()
+    run.track()  # frame 5 hangs on keyframe 2, which the mapping of frame 4 is to move
+    known, believed = run.tracker.replica.trajectory, run.mapper.replica.trajectory
+    keyframe, tracked = known.pose(2), known.pose(5)
+    run.map()
+    begun: list[Tensor] = []
+    monkeypatch.setattr(run.mapper.algorithm, "map", lambda frame: begun.append(frame.pose.matrix().detach().double()))
+    run.map()
+    assert (believed.pose(2) - keyframe).abs().max() > 1e-4, "a step of adjustment is 1e-3"
+    T_keyframe_frame = se3.inverse(keyframe) @ tracked
+    torch.testing.assert_close(begun[0], believed.pose(2) @ T_keyframe_frame, rtol=0, atol=1e-6)
+    assert (begun[0] - tracked).abs().max() > 1e-4
+
+
+def test_keyframes_of_the_tracker_are_where_the_mapper_moved_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Stepped(tmp_path, 6, monkeypatch)
+    for _ in range(5):
+        run.track()
+        run.map()
+    stale = [keyframe.pose.matrix().detach() for keyframe in run.tracker.algorithm.keyframes]
+    run.track()
+    theirs, ours = run.mapper.algorithm.keyframes, run.tracker.algorithm.keyframes
+    assert [keyframe.index for keyframe in ours] == [keyframe.index for keyframe in theirs] == [0, 2, 4]
+    for mine, other in zip(ours, theirs, strict=True):
+        assert torch.equal(mine.pose.rotation, other.pose.rotation)
+        assert torch.equal(mine.pose.translation, other.pose.translation)
+    assert (ours[1].pose.matrix().detach() - stale[1]).abs().max() > 1e-5, "frame 4's mapping moved it"

@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 import xrdslam.core
+from xrdslam.core.frame import Frame, StereoView
 from xrdslam.core.shared_algorithm import Entry, SharedAlgorithm
 from xrdslam.engine.multiprocess.frame_ring import FrameRing, Holder
 from xrdslam.engine.multiprocess.replica import SharedTrajectory
@@ -95,3 +96,24 @@ def test_a_frame_is_handed_over_without_its_images() -> None:
         placed = ring.take(frame.index)
         assert len(pickle.dumps(placed)) < 4096 < frame.rgb.nbytes / 100
         assert torch.equal(ring.frame(placed).rgb, sequence[frame.index].rgb)
+
+
+def test_the_right_image_of_a_pair_travels_along_and_a_copy_keeps_it() -> None:
+    sequence = toy_sequence(3, 48, 36)
+    left, right = sequence[0], sequence[1]
+    pair = Frame(0, 0, left.camera, left.rgb, left.depth, stereo=StereoView(right.rgb, 0.11))
+    ring = FrameRing(sequence)
+    placed = ring.put(pair, [Holder.TRACKER])
+    seen, copied = ring.frame(placed), ring.copy(placed)
+    assert copied is not None
+    for frame in (seen, copied):
+        assert frame.stereo is not None
+        assert frame.stereo.baseline_m == 0.11
+        assert torch.equal(frame.stereo.rgb, right.rgb)
+    ring.let_go(placed, Holder.TRACKER)
+    other = sequence[2]
+    ring.put(Frame(2, 0, other.camera, other.rgb, other.depth, stereo=StereoView(other.rgb, 0.11)), [Holder.TRACKER])
+    assert not torch.equal(seen.stereo.rgb, right.rgb), "the slot is used again"
+    assert torch.equal(copied.stereo.rgb, right.rgb)
+    assert torch.equal(copied.rgb, left.rgb)
+    assert ring.copy(placed) is None

@@ -144,6 +144,8 @@ class FrameRing:
         """Return the frame with images of its own, for who holds nothing; None where its slot has another by now."""
         frame = self.frame(placed)
         frame.rgb, frame.depth = frame.rgb.clone(), None if frame.depth is None else frame.depth.clone()
+        if frame.stereo is not None:
+            frame.stereo = replace(frame.stereo, rgb=frame.stereo.rgb.clone())
         return frame if self.is_there(placed) else None
 
     def is_there(self, placed: PlacedFrame) -> bool:
