@@ -10,6 +10,8 @@ from typing import Generic, TypeVar
 import torch
 from torch import Tensor, nn
 
+from xrdslam.core.adam import Adam
+
 __all__ = [
     "GroupedOptimiser",
     "IterativeOptimisation",
@@ -67,12 +69,7 @@ class GroupedOptimiser:
 
     def __init__(self, groups: Sequence[ParameterGroup]) -> None:
         self.groups = [group for group in groups if group.params]
-        self._optimisers = [
-            torch.optim.Adam(
-                group.params, group.lr, group.betas, group.eps, group.weight_decay, fused=_fused(group.params)
-            )
-            for group in self.groups
-        ]
+        self._optimisers = [Adam(group.params, group.betas, group.eps, group.weight_decay) for group in self.groups]
 
     def joined(self, other: "GroupedOptimiser") -> "GroupedOptimiser":
         """Return one optimiser that steps the groups of both and shares their moments."""
@@ -84,28 +81,27 @@ class GroupedOptimiser:
     def zero_grad(self) -> None:
         """Forget every gradient."""
         for optimiser in self._optimisers:
-            optimiser.zero_grad(set_to_none=True)
+            optimiser.zero_grad()
 
     def step(self, iteration: int) -> None:
         """Step every group that is due at `iteration` with its scheduled rate, and forget its gradient."""
         for group, optimiser in zip(self.groups, self._optimisers, strict=True):
             if (iteration + 1) % group.accumulate:
                 continue
-            optimiser.param_groups[0]["lr"] = group.lr * group.schedule(iteration)
-            optimiser.step()
-            optimiser.zero_grad(set_to_none=True)
+            optimiser.step(group.lr * group.schedule(iteration))
+            optimiser.zero_grad()
 
     def moments(self, parameter: nn.Parameter) -> dict[str, Tensor]:
         """Return Adam's state tensors of a parameter, empty before its first step."""
         for optimiser in self._optimisers:
             if parameter in optimiser.state:
-                return {k: v for k, v in optimiser.state[parameter].items() if isinstance(v, Tensor)}
+                return dict(optimiser.state[parameter])
         return {}
 
     def take_moments(self, other: "GroupedOptimiser") -> None:
         """Take over Adam's state of every parameter that both hold; parameters that were replaced start anew."""
         for mine, theirs in itertools.product(self._optimisers, other._optimisers):
-            for parameter in mine.param_groups[0]["params"]:
+            for parameter in mine.params:
                 if parameter in theirs.state:
                     mine.state[parameter] = theirs.state[parameter]
 
@@ -114,7 +110,7 @@ class GroupedOptimiser:
         return {
             f"{index}.{position}.{name}": tensor
             for index, optimiser in enumerate(self._optimisers)
-            for position, parameter in enumerate(optimiser.param_groups[0]["params"])
+            for position, parameter in enumerate(optimiser.params)
             for name, tensor in optimiser.state.get(parameter, {}).items()
         }
 
@@ -123,8 +119,8 @@ class GroupedOptimiser:
         for key, tensor in state.items():
             index, position, name = key.split(".")
             optimiser = self._optimisers[int(index)]
-            parameter = optimiser.param_groups[0]["params"][int(position)]
-            optimiser.state[parameter][name] = tensor.clone()
+            parameter = optimiser.params[int(position)]
+            optimiser.state.setdefault(parameter, {})[name] = tensor.clone()
 
     def reindex_(self, old: nn.Parameter, new: nn.Parameter, rows: Tensor) -> None:
         """Put `new` = `old[rows]` in the place of `old`; moments and gradient follow their rows, so no step is lost."""
@@ -134,16 +130,9 @@ class GroupedOptimiser:
                 if parameter is not old:
                     continue
                 group.params[position] = new
-                optimiser.param_groups[0]["params"][position] = new
+                optimiser.params[position] = new
                 state = optimiser.state.pop(old, {})
-                optimiser.state[new] = {
-                    k: v[rows] if isinstance(v, Tensor) and v.shape == old.shape else v for k, v in state.items()
-                }
-
-
-def _fused(params: Sequence[nn.Parameter]) -> bool | None:
-    """Ask for the fused step on the CPU, several times faster there; elsewhere let torch choose."""
-    return True if all(p.device.type == "cpu" and p.is_floating_point() for p in params) else None
+                optimiser.state[new] = {k: v[rows] if v.shape == old.shape else v for k, v in state.items()}
 
 
 @dataclass
