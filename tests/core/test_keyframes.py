@@ -1,14 +1,19 @@
 """Which keyframes a mapping step looks at."""
 
 import dataclasses
+from collections import Counter
+from collections.abc import Sequence
 
 import pytest
 import torch
+from torch import Tensor
 
+from xrdslam.core import keyframes as keyframes_module
 from xrdslam.core.camera import Camera
 from xrdslam.core.frame import Frame
 from xrdslam.core.geometry import se3, so3
 from xrdslam.core.keyframes import BLOCK, KEYFRAME_POLICIES, overlap, select_keyframes
+from xrdslam.core.pose import OptimizablePose
 
 CAMERA = Camera(100.0, 100.0, 49.5, 39.5, 100, 80)
 POLICIES = sorted(KEYFRAME_POLICIES)
@@ -103,6 +108,48 @@ def test_random_overlap_draws_among_those_that_see_anything() -> None:
     turned = [looking(i, yaw_deg=yaw) for i, yaw in enumerate((180.0, 20.0, 120.0, 5.0, 10.0, 170.0, 0.0))]
     drawn = {index for seed in range(30) for index in chosen("overlap_random", turned, looking(20), 4, seed)[:2]}
     assert drawn == {1, 3, 4}
+
+
+def test_random_overlap_finds_the_few_that_see_anything_and_is_alike_for_all_of_them() -> None:
+    away = [looking(i, yaw_deg=180.0) for i in range(3 * BLOCK)]
+    seeing = range(5, 3 * BLOCK, 20)
+    for index in seeing:
+        away[index] = looking(index, yaw_deg=5.0)
+    assert chosen("overlap_random", away, looking(200), 20)[:-2] != list(seeing), "in no order"
+    assert sorted(chosen("overlap_random", away, looking(200), 20)[:-2]) == list(seeing)
+    drawn = Counter(chosen("overlap_random", away, looking(200), 3, seed)[0] for seed in range(500))
+    assert set(drawn) == set(seeing)
+    assert min(drawn.values()) > 100 - 5 * 9  # 500 draws of five: 100 each, nine is one sigma
+
+
+def test_random_overlap_does_not_ask_more_keyframes_for_a_longer_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = 0
+    inner = keyframes_module.stacked
+
+    def counted(poses: Sequence[OptimizablePose]) -> Tensor:
+        nonlocal asked
+        asked += len(poses)
+        return inner(poses)
+
+    monkeypatch.setattr(keyframes_module, "stacked", counted)
+    for count in (4 * BLOCK, 8 * BLOCK):
+        asked = 0
+        assert len(chosen("overlap_random", row(count), looking(999), 20)) == 20
+        assert asked == BLOCK
+
+
+def test_a_point_is_seen_where_it_projects_inside() -> None:
+    """Against the camera's own projection: points all around, in front and behind."""
+    generator = random()
+    points = 3 * torch.randn(4000, 3, generator=generator)
+    frames = [looking(i, yaw_deg=40.0 * i, x=0.3 * i) for i in range(9)]
+    frames[4].camera = dataclasses.replace(CAMERA, fx=60.0, cx=30.0, cy=50.0)
+    found = keyframes_module._seen(frames, points, 5.0)
+    for frame, fraction in zip(frames, found, strict=True):
+        pixels, depth = frame.camera.project(se3.transform(se3.inverse(frame.pose.matrix().detach()), points))
+        expected = (frame.camera.contains(pixels, 5.0) & (depth > 0)).float().mean()
+        assert 0.02 < expected < 0.5
+        assert abs(float(fraction - expected)) <= 1 / 4000 + 1e-6  # one on the border may fall over it
 
 
 def test_random_reaches_every_keyframe() -> None:

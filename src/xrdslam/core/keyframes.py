@@ -1,7 +1,6 @@
 """Which keyframes a mapping step looks at."""
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float
@@ -19,6 +18,8 @@ KeyframePolicy = Callable[[Sequence[Frame], Frame, int, torch.Generator], list[F
 
 BLOCK = 32
 """Keyframes that are compared at once."""
+NUM_PIXELS = 1600
+BORDER_PX = 20.0
 
 
 def select_keyframes(
@@ -41,43 +42,51 @@ def overlap(
     keyframes: Sequence[Frame],
     frame: Frame,
     generator: torch.Generator,
-    num_pixels: int = 1600,
-    border_px: float = 20.0,
+    num_pixels: int = NUM_PIXELS,
+    border_px: float = BORDER_PX,
 ) -> Float[Tensor, " k"]:
     """Return, for each keyframe, the fraction of the frame's measured points that fall into its image.
 
     SplaTAM's rule: 1600 pixels with depth drawn with replacement, inside if 20 px from the border and in front. On
     small images the border is at most a tenth of the shorter side (20 px of 24 rows would leave nothing inside).
     """
-    points_camera = frame.points_camera()
-    if not len(keyframes) or not len(points_camera):
+    points_world = _measured(frame, generator, num_pixels)
+    if not len(keyframes) or not len(points_world):
         return torch.zeros(len(keyframes))
+    blocks = [keyframes[start : start + BLOCK] for start in range(0, len(keyframes), BLOCK)]
+    return torch.cat([_seen(block, points_world, border_px) for block in blocks])
+
+
+def _measured(frame: Frame, generator: torch.Generator, num_pixels: int = NUM_PIXELS) -> Float[Tensor, "n 3"]:
+    """Return the points [m] in the world of measured pixels, drawn with replacement; none where nothing is measured."""
+    points_camera = frame.points_camera()
+    if not len(points_camera):
+        return points_camera
     drawn = torch.randint(len(points_camera), (num_pixels,), generator=generator).to(points_camera.device)
-    points_world = se3.transform(frame.pose.matrix().detach(), points_camera[drawn])
-    fractions = torch.cat(
-        [_seen(camera, T_keyframe_world, points_world, border_px) for camera, T_keyframe_world in _blocks(keyframes)]
-    )
-    return fractions.cpu()
+    return se3.transform(frame.pose.matrix().detach(), points_camera[drawn])
 
 
-def _seen(
-    camera: Camera, T_keyframe_world: Float[Tensor, "k 4 4"], points_world: Float[Tensor, "n 3"], border_px: float
-) -> Float[Tensor, " k"]:
-    """Return, for each of some keyframes with one camera, the fraction of the points that falls into its image."""
-    rotated = points_world @ T_keyframe_world[:, :3, :3].mT
-    pixels, depth = camera.project(rotated + T_keyframe_world[:, None, :3, 3])
+@torch.no_grad()
+def _seen(keyframes: Sequence[Frame], points_world: Float[Tensor, "n 3"], border_px: float) -> Float[Tensor, " k"]:
+    """Return, for each of some keyframes, the fraction of the points that falls into its image.
+
+    A point does where it lies inside four planes through the camera's centre: products of matrices, no division. One
+    behind the camera is outside of one of two opposite planes.
+    """
+    sides = torch.tensor([_sides(keyframe.camera, border_px) for keyframe in keyframes]).to(points_world)
+    T_keyframe_world = se3.inverse(stacked([keyframe.pose for keyframe in keyframes]))
+    planes_world = (sides @ T_keyframe_world[:, :3]).transpose(0, 1).reshape(-1, 4)
+    depths = torch.addmm(planes_world[:, 3:], planes_world[:, :3], points_world.mT)
+    inside = depths.view(4, len(keyframes), -1).amin(0) >= 0
+    return inside.to(torch.float32).mean(-1).cpu()
+
+
+def _sides(camera: Camera, border_px: float) -> list[list[float]]:
+    """Return the inward normals, in camera axes, of the planes that bound what a camera sees inside of a border."""
     border = min(border_px, 0.1 * min(camera.width, camera.height))
-    return (camera.contains(pixels, border) & (depth > 0)).float().mean(-1)
-
-
-def _blocks(keyframes: Sequence[Frame]) -> Iterator[tuple[Camera, Float[Tensor, "k 4 4"]]]:
-    """Yield keyframes in blocks that fit a cache and have one camera: what they cost grows with the run."""
-    with torch.no_grad():
-        for camera, group in itertools.groupby(keyframes, key=lambda keyframe: keyframe.camera):
-            block = list(group)
-            for start in range(0, len(block), BLOCK):
-                poses = stacked([keyframe.pose for keyframe in block[start : start + BLOCK]])
-                yield camera, se3.inverse(poses)
+    left, top = camera.cx - border, camera.cy - border
+    right, bottom = camera.width - 1 - border - camera.cx, camera.height - 1 - border - camera.cy
+    return [[camera.fx, 0.0, left], [-camera.fx, 0.0, right], [0.0, camera.fy, top], [0.0, -camera.fy, bottom]]
 
 
 def _random(keyframes: Sequence[Frame], frame: Frame, count: int, generator: torch.Generator) -> list[Frame]:
@@ -86,9 +95,15 @@ def _random(keyframes: Sequence[Frame], frame: Frame, count: int, generator: tor
 
 
 def _overlap_random(keyframes: Sequence[Frame], frame: Frame, count: int, generator: torch.Generator) -> list[Frame]:
-    fractions = overlap(keyframes, frame, generator)
-    seen = [k for k, fraction in zip(keyframes, fractions.tolist(), strict=True) if fraction > 0]
-    return _random(seen, frame, count, generator)
+    """Return the first of a random order that see anything; the others need not be asked, however many there are."""
+    points_world = _measured(frame, generator)
+    order = _random(keyframes, frame, len(keyframes), generator)
+    found: list[Frame] = []
+    while order and len(found) < count and len(points_world):
+        block, order = order[:BLOCK], order[BLOCK:]
+        fractions = _seen(block, points_world, BORDER_PX).tolist()
+        found += [k for k, fraction in zip(block, fractions, strict=True) if fraction > 0]
+    return found[:count]
 
 
 def _overlap_ranked(keyframes: Sequence[Frame], frame: Frame, count: int, generator: torch.Generator) -> list[Frame]:
