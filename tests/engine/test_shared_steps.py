@@ -13,6 +13,7 @@ import xrdslam.core
 from xrdslam.core.frame import Frame, StereoView
 from xrdslam.core.shared_algorithm import Entry, SharedAlgorithm
 from xrdslam.engine.multiprocess.frame_ring import FrameRing, Holder
+from xrdslam.engine.multiprocess.messages import Finished, Spent, pack, unpack
 from xrdslam.engine.multiprocess.replica import SharedTrajectory
 from xrdslam.engine.multiprocess.shared_event import SharedEvent
 from xrdslam.testing.misbehaving import sleep_through
@@ -117,3 +118,35 @@ def test_the_right_image_of_a_pair_travels_along_and_a_copy_keeps_it() -> None:
     assert torch.equal(copied.stereo.rgb, right.rgb)
     assert torch.equal(copied.rgb, left.rgb)
     assert ring.copy(placed) is None
+
+
+def test_messages_come_out_as_they_went_in() -> None:
+    """Whatever a method puts into a result's details: what numpy has no type for, views, parameters, nothing."""
+    tensors = {
+        "pose": torch.linspace(-1.0, 1.0, 16, dtype=torch.float64).view(4, 4),
+        "turned": torch.arange(12.0).view(3, 4).T,
+        "part": torch.arange(10)[2:5],
+        "scalar": torch.tensor(-0.0),
+        "empty": torch.empty(0, 4, 4),
+        "flags": torch.tensor([True, False]),
+        "not finite": torch.tensor([float("nan"), float("-inf")]),
+        "half": torch.ones(2, dtype=torch.bfloat16),
+        "complex": torch.tensor([1j]).conj(),
+        "learned": torch.nn.Parameter(torch.ones(2)),
+    }
+    message = Finished(tensors, 7, 0.5, 0.25, Spent(1.0, 2.0, 3.0))
+    entry = pack(message)
+    assert (entry.kind, entry.index) == ("finished", -1)
+    received = unpack(entry)
+    assert isinstance(received, Finished)
+    assert (received.version, received.spent) == (7, message.spent)
+    for name, tensor in tensors.items():
+        other = received.trajectory[name]
+        assert (other.dtype, other.shape, type(other)) == (tensor.dtype, tensor.shape, type(tensor))
+        assert torch.equal(torch.nan_to_num(other), torch.nan_to_num(tensor))
+        assert torch.equal(torch.isnan(other), torch.isnan(tensor))
+    assert received.trajectory["scalar"].signbit()
+    pose = received.trajectory["pose"]
+    assert pose.data_ptr() % 64 == 0  # as torch's own memory: the bits of a product may depend on it
+    pose.zero_()
+    assert not bool((tensors["pose"] == 0).all())

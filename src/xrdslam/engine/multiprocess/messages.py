@@ -1,10 +1,13 @@
 """What processes tell one another of each step, and how it is packed."""
 
+import io
 import pickle
 import time
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from xrdslam.core.mapping import MappingResult
@@ -106,12 +109,28 @@ class Finished:
 
 
 Message = Resumed | Tracked | Mapped | Paused | Finished
+ARRAYS = {torch.bool, torch.uint8, torch.int32, torch.int64, torch.float32, torch.float64}
+
+
+class _Pickler(pickle.Pickler):
+    """Packs tensors as arrays: torch's own way is a file for each, 0.3 ms to write and 0.2 ms to read."""
+
+    def reducer_override(self, item: object) -> Any:  # noqa: ANN401  # or NotImplemented, as pickle has it
+        if type(item) is Tensor and item.dtype in ARRAYS and item.device.type == "cpu" and not item.requires_grad:
+            return _tensor, (item.numpy(),)
+        return NotImplemented
+
+
+def _tensor(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(array).clone()  # aligned as torch's own are, on which the bits of a product may depend
 
 
 def pack(message: Message) -> Entry:
     """Turn a message into what the server keeps."""
     index = message.frame.index if isinstance(message, Tracked) else getattr(message, "index", -1)
-    return Entry(type(message).__name__.lower(), index, pickle.dumps(message, protocol=5))
+    payload = io.BytesIO()
+    _Pickler(payload, protocol=5).dump(message)
+    return Entry(type(message).__name__.lower(), index, payload.getvalue())
 
 
 def unpack(entry: Entry) -> Message:
