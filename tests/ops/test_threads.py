@@ -31,3 +31,19 @@ def test_the_start_of_numbas_threads_does_not_change_torchs() -> None:
         "assert torch.get_num_threads() == 1"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_warming_up_leaves_the_first_kernel_nothing_to_fill_in() -> None:
+    """Numba's table of the functions that it knows is empty at first, and all but filled before a kernel is called."""
+    code = (
+        "import torch\n"
+        "from numba.core.registry import cpu_target\n"
+        "from xrdslam.ops.ssim import ssim_map\n"
+        "from xrdslam.ops.threads import warm_up\n"
+        "def known(): return len(cpu_target.typing_context._functions)\n"
+        "torch.set_num_threads(1); before = known(); warm_up(); warm = known()\n"
+        "assert torch.get_num_threads() == 1\n"
+        "ssim_map(torch.rand(20, 20, 3), torch.rand(20, 20, 3)); after = known()\n"
+        "assert before < 0.01 * after < 0.99 * after < warm, (before, warm, after)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -6,7 +6,9 @@ from contextlib import contextmanager
 import numba
 import torch
 
-__all__ = ["kernel_threads"]
+from xrdslam.ops.simd import kernel
+
+__all__ = ["kernel_threads", "warm_up"]
 
 
 @contextmanager
@@ -26,3 +28,14 @@ def kernel_threads() -> Iterator[int]:
         yield workers
     finally:
         numba.set_num_threads(before)
+
+
+def warm_up() -> None:
+    """Have done now what numba does before its first kernel in a process: 0.2 s of filling in its tables."""
+    with kernel_threads():
+        _nothing()
+
+
+@kernel
+def _nothing() -> None:
+    pass

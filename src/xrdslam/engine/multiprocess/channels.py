@@ -102,6 +102,8 @@ class Channels:
     mapping: SharedState
     """The mapper's."""
     counters: Counters
+    event_begin: SharedEvent
+    """The server listens, and where the run is taken up, its first step is there."""
     event_ready: SharedEvent
     """The tracker handed a frame over."""
     event_processed: SharedEvent
@@ -123,6 +125,7 @@ class Channels:
             tracking=SharedState(),
             mapping=SharedState(),
             counters=Counters(),
+            event_begin=SharedEvent(),
             event_ready=SharedEvent(),
             event_processed=SharedEvent(),
             map_buffer=context.Queue(),

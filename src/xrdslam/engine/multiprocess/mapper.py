@@ -14,6 +14,7 @@ from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost, Profile, rss_mib
 from xrdslam.engine.random_numbers import restore_streams, streams
 from xrdslam.engine.stages import Mapper
+from xrdslam.ops.threads import warm_up
 
 __all__ = ["map_all"]
 
@@ -50,6 +51,7 @@ class MapperProcess:
         self.meter = Meter()
         self.channels.counters.is_up = True
         self.channels.event_processed.set()
+        warm_up()  # while the first frame is read
         while (index := self._next(done)) >= 0:
             self._step(index)
             done += 1

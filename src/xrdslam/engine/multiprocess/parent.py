@@ -49,8 +49,11 @@ def run_multiprocess(run: Run) -> None:
     try:
         with run.interruption.breaking(GRACE_S), processes.explaining():
             processes.start_server()
-            parent = _Parent(run, channels, checkpoints, _start_visualizer(run, channels), asked_s)
-            _start_workers(run, processes)
+            _start_workers(run, processes)  # what they import takes longest
+            visualizer = _start_visualizer(run, channels)
+            processes.wait_for_server()
+            parent = _Parent(run, channels, checkpoints, visualizer, asked_s)
+            channels.event_begin.set()
             _go_through(run, parent, processes)
     except (KeyboardInterrupt, Exception):
         log.warning("%s", checkpoints.advice())

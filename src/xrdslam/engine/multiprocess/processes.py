@@ -54,8 +54,11 @@ class Processes:
         resource_tracker.ensure_running()  # else it would be started below, and unblock what is blocked there
 
     def start_server(self) -> None:
-        """Start the server and wait until it listens."""
+        """Start the server."""
         self._start(SERVER, serve, self.channels.address, self.channels.key)
+
+    def wait_for_server(self) -> None:
+        """Wait until the server listens."""
         until = time.monotonic() + START_S
         while not self._running[SERVER].is_ready:
             self.watch(timeout_s=until - time.monotonic())
@@ -63,7 +66,7 @@ class Processes:
                 raise RunError(f"the {SERVER} does not listen after {START_S:g} s; is this machine overloaded?")
 
     def start_worker(self, role: str, packed: bytes, task: Work) -> None:
-        """Start a worker; `packed` is its Job."""
+        """Start a worker, which waits for `Channels.event_begin`; `packed` is its Job."""
         self._start(role, work, packed, task, self.channels)
 
     def _start(self, role: str, function: Callable[..., None], *args: object) -> None:

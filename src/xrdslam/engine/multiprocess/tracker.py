@@ -19,6 +19,7 @@ from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost, Profile, rss_mib
 from xrdslam.engine.random_numbers import restore_streams, streams
 from xrdslam.engine.stages import Tracker
+from xrdslam.ops.threads import warm_up
 
 __all__ = ["track_all"]
 
@@ -91,6 +92,8 @@ class TrackerProcess:
         self.replica.record(tracked)
         self._hand_over(frame.index)
         self.channels.viz_buffer.put(frame.index)
+        if self.channels.counters.tracked == 1:
+            warm_up()  # there is time for it while the first frame is mapped
         if tracked.pauses:
             self._pause(frame.index)
 

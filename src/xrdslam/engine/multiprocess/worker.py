@@ -60,4 +60,5 @@ def work(packed: bytes, task: Work, channels: Channels, _say: Say) -> None:
     """Be a worker: what its process calls."""
     told: Job = pickle.loads(packed)
     prepare(told.config.seed, told.threads)
+    channels.event_begin.wait()
     task(told, channels)
