@@ -23,6 +23,7 @@ from xrdslam.engine.multiprocess.channels import Channels
 from xrdslam.engine.multiprocess.frame_ring import Holder
 from xrdslam.engine.multiprocess.mapper import MapperProcess
 from xrdslam.engine.multiprocess.messages import Finished, Mapped, Message, Tracked
+from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.tracker import TrackerProcess
 from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost
@@ -128,8 +129,8 @@ class Stepped:
         config = toy_config(MultiprocessConfig(progress=False, sync="async", max_lag=MAX_LAG), num_frames)
         registry = toy_registry()
         dataset = build_dataset(config, registry)
-        shared = SharedAlgorithm()
-        monkeypatch.setattr(Channels, "algorithm", lambda _channels: shared)
+        self.shared = SharedAlgorithm([Role.TRACKER, Role.MAPPER])
+        monkeypatch.setattr(Channels, "algorithm", lambda _channels: self.shared)
         self.channels = Channels.build(get_context("spawn"), dataset)
         job = Job(config, dataset, registry, "cpu", 1, folder, 0, {}, is_heard=False, is_watched=False)
         self.tracker, self.mapper = TrackerProcess(job, self.channels), MapperProcess(job, self.channels)
@@ -164,6 +165,19 @@ def test_a_frame_is_mapped_where_its_keyframe_was_moved_to_since_it_was_tracked(
     T_keyframe_frame = se3.inverse(keyframe) @ tracked
     torch.testing.assert_close(begun[0], believed.pose(2) @ T_keyframe_frame, rtol=0, atol=1e-6)
     assert (begun[0] - tracked).abs().max() > 1e-4
+
+
+def test_steps_that_both_have_repeated_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Stepped(tmp_path, 8, monkeypatch)
+    kept = []
+    for _ in range(8):
+        run.track()
+        run.map()
+        kept.append(len(run.shared._entries))
+    assert run.shared.record(Entry("finished", -1, b"")) == 16
+    assert kept == [2, 4, 4, 4, 4, 4, 4, 4], (
+        "those of two frames: that one knows them it says when it asks for the next"
+    )
 
 
 def test_keyframes_of_the_tracker_are_where_the_mapper_moved_them(

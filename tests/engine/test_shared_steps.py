@@ -7,6 +7,7 @@ import time
 from multiprocessing import get_context
 from pathlib import Path
 
+import pytest
 import torch
 
 import xrdslam.core
@@ -31,7 +32,7 @@ class SlowList(list[Entry]):
 
 
 def test_steps_that_are_recorded_at_the_same_time_keep_one_order() -> None:
-    shared = SharedAlgorithm()
+    shared = SharedAlgorithm(["test"])
     shared._entries = SlowList()
     numbers: list[tuple[int, int]] = []
 
@@ -46,8 +47,42 @@ def test_steps_that_are_recorded_at_the_same_time_keep_one_order() -> None:
     for thread in threads:
         thread.join()
     assert [number for number, _ in sorted(numbers)] == list(range(40))
-    assert [entry.index for entry in shared.since(0)] == [index for _, index in sorted(numbers)]
-    assert [entry.index for entry in shared.since(38)] == [index for _, index in sorted(numbers)][38:]
+    assert [entry.index for entry in shared.since(0, "test")] == [index for _, index in sorted(numbers)]
+    assert [entry.index for entry in shared.since(38, "test")] == [index for _, index in sorted(numbers)][38:]
+
+
+def step(index: int) -> Entry:
+    return Entry("tracked", index, b"")
+
+
+def test_steps_are_kept_until_every_reader_knows_them() -> None:
+    shared = SharedAlgorithm(["tracker", "mapper"])
+    assert [shared.record(step(index)) for index in range(4)] == [0, 1, 2, 3]
+    assert [entry.index for entry in shared.since(0, "tracker")] == [0, 1, 2, 3]
+    assert [entry.index for entry in shared.since(4, "tracker")] == []
+    assert [entry.index for entry in shared.since(0, "mapper")] == [0, 1, 2, 3], "asking is not yet knowing"
+    assert [entry.index for entry in shared.since(3, "mapper")] == [3]
+    assert len(shared._entries) == 1
+    assert shared.record(step(4)) == 4, "numbers go on"
+    assert [entry.index for entry in shared.since(3, "mapper")] == [3, 4]
+    assert [entry.index for entry in shared.since(4, "tracker")] == [4]
+    with pytest.raises(LookupError, match=r"mapper asks for step 2; those before 3 are dropped"):
+        shared.since(2, "mapper")
+
+
+def test_a_reader_that_has_ended_keeps_no_steps() -> None:
+    shared = SharedAlgorithm(["tracker", "visualizer"])
+    for index in range(3):
+        shared.record(step(index))
+    assert shared.since(3, "tracker") == []
+    assert len(shared._entries) == 3, "a viewer may be slow"
+    shared.forget("visualizer")
+    assert shared._entries == []
+    shared.forget("visualizer")
+    shared.record(step(3))
+    assert [entry.index for entry in shared.since(3, "visualizer")] == [3], "whoever else asks holds nothing back"
+    assert shared.since(4, "tracker") == []
+    assert shared._entries == []
 
 
 def test_no_lock_is_left_out_by_an_and() -> None:

@@ -71,8 +71,9 @@ def test_a_viewer_that_hangs_loses_frames_and_the_run_nothing(
 
 
 def test_a_viewer_that_raises_is_not_called_again_and_async_without_a_lag_gives_the_sequential_bits(
-    tmp_path: Path, unwatched: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, unwatched: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(watching, "PATIENCE_S", 60.0)  # it closes; the machine may be busy
     engine = MultiprocessConfig(progress=False, sync="async", max_lag=0)
     found = run(toy_config(engine, viewer=viewer(tmp_path, "raises")), tmp_path, toy_registry())
     assert found.exit_status == 0

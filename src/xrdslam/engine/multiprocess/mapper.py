@@ -10,6 +10,7 @@ from xrdslam.engine.multiprocess.channels import Channels, wait_until
 from xrdslam.engine.multiprocess.frame_ring import Holder
 from xrdslam.engine.multiprocess.messages import Finished, Mapped, Meter, Tracked
 from xrdslam.engine.multiprocess.replica import Replica, map_state
+from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost, Profile, rss_mib
 from xrdslam.engine.random_numbers import restore_streams, streams
@@ -35,7 +36,9 @@ class MapperProcess:
         self.channels = channels
         self.algorithm = job.algorithm()
         own = (Mapped, Finished)
-        self.replica = Replica(self.algorithm, job.scene, channels.algorithm(), channels.frames, Holder.MAPPER, own)
+        self.replica = Replica(
+            self.algorithm, job.scene, channels.algorithm(), Role.MAPPER, channels.frames, Holder.MAPPER, own
+        )
         self.profile = Profile()
         self.mapper = Mapper(self.algorithm, self.profile)
         self.meter = Meter()

@@ -21,6 +21,7 @@ from xrdslam.engine.multiprocess.messages import Finished, Mapped, Paused, Track
 from xrdslam.engine.multiprocess.processes import Processes
 from xrdslam.engine.multiprocess.replica import Replica
 from xrdslam.engine.multiprocess.resumption import gathered, hand_on
+from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.tracker import track_all
 from xrdslam.engine.multiprocess.watching import Visualizer
 from xrdslam.engine.multiprocess.worker import Job
@@ -48,7 +49,7 @@ def run_multiprocess(run: Run) -> None:
     parent: _Parent | None = None
     try:
         with run.interruption.breaking(GRACE_S), processes.explaining():
-            processes.start_server()
+            processes.start_server(_readers(run))
             _start_workers(run, processes)  # what they import takes longest
             visualizer = _start_visualizer(run, channels)
             processes.wait_for_server()
@@ -106,9 +107,15 @@ def _is_heard(run: Run) -> bool:
     return any(run.registry.hears(hook) for hook in ("xrdslam_frame_tracked", "xrdslam_map_updated"))
 
 
+def _readers(run: Run) -> list[str]:
+    """Say who repeats the steps of the run."""
+    readers: list[str] = [Role.PARENT, Role.TRACKER, Role.MAPPER]
+    return [*readers, Role.VISUALIZER] if run.config.viewer.name != "none" else readers
+
+
 def _start_workers(run: Run, processes: Processes) -> None:
     threads = num_threads(run.config.threads)
-    for role, task, share in (("tracker", track_all, threads // 2), ("mapper", map_all, threads - threads // 2)):
+    for role, task, share in ((Role.TRACKER, track_all, threads // 2), (Role.MAPPER, map_all, threads - threads // 2)):
         own = threads if run.config.engine.is_strict else max(1, share)
         job = pickle.dumps(_job(run, own))  # not multiprocessing's pickle, which shares tensors
         processes.start_worker(role, job, task)
@@ -143,11 +150,13 @@ class _Parent:
         self.is_heard = _is_heard(run)
         self.is_finished = False
         self.is_paused = False
+        self._is_alone = False
         self._frames: dict[int, tuple[Tracked, Frame]] = {}
         self._costs: dict[int, FrameCost] = {}
         self._drawn: dict[str, Any] | None = None
         resumed = hand_on(run, channels) if run.resumed_after else None
-        self._replica = Replica(run.algorithm, run.scene, channels.algorithm(), channels.frames, None, ())
+        self._steps = channels.algorithm()
+        self._replica = Replica(run.algorithm, run.scene, self._steps, Role.PARENT, channels.frames, None, ())
         if resumed is not None:
             self._replica.record(resumed)
             self.follow()
@@ -195,6 +204,9 @@ class _Parent:
         """Look after the viewer, and let the run begin once it is there, or not waited for."""
         if self.visualizer is not None:
             self.visualizer.attend()
+            if self.visualizer.has_ended and not self._is_alone:
+                self._is_alone = True
+                self._steps.forget(Role.VISUALIZER)
         if not self.channels.counters.may_begin and (self.visualizer is None or self.visualizer.is_settled):
             self.channels.counters.may_begin = True
             self.channels.event_processed.set()

@@ -3,7 +3,7 @@
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
@@ -14,6 +14,7 @@ from xrdslam.core.errors import RunError, XrdslamError
 from xrdslam.core.shared_algorithm import LISTENING, serve
 from xrdslam.engine.multiprocess.channels import Channels
 from xrdslam.engine.multiprocess.child import Asked, Done, Failure, LogRecord, start
+from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.worker import Work, work
 
 __all__ = ["Processes", "WorkerError"]
@@ -25,7 +26,6 @@ START_S = 60.0
 """How long the server may take until it listens; it imports next to nothing."""
 END_S = 5.0
 """How long a process may take to be gone once it is killed: its memory is given back meanwhile."""
-SERVER = "server"
 
 
 class WorkerError(Exception):
@@ -53,17 +53,17 @@ class Processes:
         self._is_asked = False
         resource_tracker.ensure_running()  # else it would be started below, and unblock what is blocked there
 
-    def start_server(self) -> None:
-        """Start the server."""
-        self._start(SERVER, serve, self.channels.address, self.channels.key)
+    def start_server(self, readers: Sequence[str]) -> None:
+        """Start the server; `readers` are the processes that repeat the steps."""
+        self._start(Role.SERVER, serve, self.channels.address, self.channels.key, readers)
 
     def wait_for_server(self) -> None:
         """Wait until the server listens."""
         until = time.monotonic() + START_S
-        while not self._running[SERVER].is_ready:
+        while not self._running[Role.SERVER].is_ready:
             self.watch(timeout_s=until - time.monotonic())
             if time.monotonic() > until:
-                raise RunError(f"the {SERVER} does not listen after {START_S:g} s; is this machine overloaded?")
+                raise RunError(f"the {Role.SERVER} does not listen after {START_S:g} s; is this machine overloaded?")
 
     def start_worker(self, role: str, packed: bytes, task: Work) -> None:
         """Start a worker, which waits for `Channels.event_begin`; `packed` is its Job."""
@@ -148,7 +148,7 @@ class Processes:
 
     def end_workers(self) -> None:
         """End all but the server."""
-        self._end([role for role in self._running if role != SERVER])
+        self._end([role for role in self._running if role != Role.SERVER])
 
     def _end(self, roles: Iterable[str]) -> None:
         """Kill some processes; what they had logged by then is handed on."""

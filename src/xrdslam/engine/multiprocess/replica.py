@@ -60,15 +60,20 @@ class Replica:
         algorithm: Algorithm,
         scene: Scene,
         shared: Steps,
+        reader: str,
         ring: FrameRing,
         holder: Holder | None,
         own: tuple[type, ...],
     ) -> None:
-        """Take a newly built algorithm; `shared` is the server's instance, steps of the kinds `own` are made here."""
+        """Take a newly built algorithm; `shared` is the server's instance, which knows this process as `reader`.
+
+        Steps of the kinds `own` are made here.
+        """
         self.algorithm = algorithm
         self.scene = scene
         self.trajectory = SharedTrajectory()
         self._shared = shared
+        self._reader = reader
         self._ring = ring
         self._holder = holder
         self._own = own
@@ -83,7 +88,7 @@ class Replica:
 
     def news(self) -> Iterator[Message]:
         """Yield the steps that others made since the last call, each once it is repeated here."""
-        for entry in self._shared.since(self._known):
+        for entry in self._shared.since(self._known, self._reader):
             message = unpack(entry)
             self._known += 1
             if not isinstance(message, self._own):

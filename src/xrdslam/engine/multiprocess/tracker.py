@@ -14,6 +14,7 @@ from xrdslam.engine.multiprocess.frame_ring import Holder, PlacedFrame
 from xrdslam.engine.multiprocess.messages import Meter, Paused, Tracked
 from xrdslam.engine.multiprocess.replica import TRACKING, Replica
 from xrdslam.engine.multiprocess.resumption import load_tracker_state, tracker_state
+from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.shared_state import Published
 from xrdslam.engine.multiprocess.worker import Job
 from xrdslam.engine.profile import FrameCost, Profile, rss_mib
@@ -36,9 +37,8 @@ class TrackerProcess:
         self.job = job
         self.channels = channels
         self.algorithm = job.algorithm()
-        self.replica = Replica(
-            self.algorithm, job.scene, channels.algorithm(), channels.frames, Holder.TRACKER, (Tracked, Paused)
-        )
+        steps, own = channels.algorithm(), (Tracked, Paused)
+        self.replica = Replica(self.algorithm, job.scene, steps, Role.TRACKER, channels.frames, Holder.TRACKER, own)
         self.tracker = Tracker(self.algorithm, job.scene, Profile())
         self.is_strict = job.config.engine.is_strict
         self._map: Published | None = None

@@ -14,6 +14,7 @@ from xrdslam.engine.multiprocess.channels import Channels
 from xrdslam.engine.multiprocess.child import Say
 from xrdslam.engine.multiprocess.messages import Mapped, Message, Tracked
 from xrdslam.engine.multiprocess.replica import Replica
+from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.shared_state import SharedState
 from xrdslam.engine.multiprocess.worker import Job, work
 
@@ -55,7 +56,9 @@ class VisualizerProcess:
         self.registry = job.registry
         self.viewer = self.registry.viewer(job.config.viewer.name).load()(job.config.viewer)
         self.algorithm: Algorithm = job.algorithm()
-        self.replica = Replica(self.algorithm, job.scene, channels.algorithm(), channels.frames, None, ())
+        self.replica = Replica(
+            self.algorithm, job.scene, channels.algorithm(), Role.VISUALIZER, channels.frames, None, ()
+        )
         self._seen = Run(job.config, RunDirectory(job.run_dir), job.dataset, self.algorithm, self.registry, job.device)
         self._frames: dict[int, Frame] = {}
 

@@ -14,6 +14,7 @@ from xrdslam.core.hookspecs import hookimpl
 from xrdslam.engine.context import Run
 from xrdslam.engine.multiprocess.channels import Channels
 from xrdslam.engine.multiprocess.child import Done, Failure, LogRecord, start
+from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.shared_state import SharedState
 from xrdslam.engine.multiprocess.visualizer import METRICS, TRAJECTORY, UP, Order, show_all
 from xrdslam.engine.multiprocess.worker import Job
@@ -46,7 +47,7 @@ class Visualizer:
         self._waits_until = time.monotonic() + START_S
         orders, self._orders = get_context("spawn").Pipe(duplex=False)
         args = (pickle.dumps(job), channels, orders, self._farewell)
-        self._process, self._report = start("visualizer", show_all, *args)
+        self._process, self._report = start(Role.VISUALIZER, show_all, *args)
         orders.close()
 
     def attend(self) -> None:
