@@ -1,6 +1,7 @@
 """Tracking ahead of mapping: how far it may go, and that nothing is lost or done twice on the way."""
 
 import dataclasses
+import pickle
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -23,9 +24,10 @@ from xrdslam.engine.multiprocess.channels import Channels
 from xrdslam.engine.multiprocess.frame_ring import Holder
 from xrdslam.engine.multiprocess.mapper import MapperProcess
 from xrdslam.engine.multiprocess.messages import Finished, Mapped, Message, Tracked
+from xrdslam.engine.multiprocess.processes import Processes
 from xrdslam.engine.multiprocess.roles import Role
 from xrdslam.engine.multiprocess.tracker import TrackerProcess
-from xrdslam.engine.multiprocess.worker import Job
+from xrdslam.engine.multiprocess.worker import Job, Work
 from xrdslam.engine.profile import FrameCost
 from xrdslam.testing.toy_plugin import toy_config, toy_registry
 
@@ -38,15 +40,22 @@ class Recorded:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.messages: list[Message] = []
-        real = replica.unpack
+        self.threads: dict[str, int] = {}
+        real, start_worker = replica.unpack, Processes.start_worker
 
         def unpack(entry: Entry) -> Message:
             self.messages.append(real(entry))
             return self.messages[-1]
 
+        def start(processes: Processes, role: str, packed: bytes, task: Work) -> None:
+            self.threads[role] = pickle.loads(packed).threads
+            start_worker(processes, role, packed, task)
+
         config = toy_config(MultiprocessConfig(progress=False, sync="async", max_lag=MAX_LAG), NUM_FRAMES)
         config.algo.tracking.iterations, config.algo.mapping.iterations = 2, 15
+        config.threads = 2
         with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Processes, "start_worker", start)
             patch.setattr(replica, "unpack", unpack)  # of this process, which only follows
             self.summary = run(config, folder, toy_registry())
 
@@ -83,6 +92,10 @@ def test_the_tracker_goes_ahead_and_never_too_far(recorded: Recorded) -> None:
     assert max(lags) <= MAX_LAG
     assert max(lags) > 0, "it went ahead"
     assert lags[1] == 0, "there is no map before the first frame's"
+
+
+def test_who_computes_while_the_other_waits_has_every_core(recorded: Recorded) -> None:
+    assert recorded.threads == {Role.TRACKER: 2, Role.MAPPER: 2}
 
 
 def test_the_map_never_goes_back_and_holds_what_it_must(recorded: Recorded) -> None:

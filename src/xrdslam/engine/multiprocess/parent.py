@@ -114,11 +114,10 @@ def _readers(run: Run) -> list[str]:
 
 
 def _start_workers(run: Run, processes: Processes) -> None:
-    threads = num_threads(run.config.threads)
-    for role, task, share in ((Role.TRACKER, track_all, threads // 2), (Role.MAPPER, map_all, threads - threads // 2)):
-        own = threads if run.config.engine.is_strict else max(1, share)
-        job = pickle.dumps(_job(run, own))  # not multiprocessing's pickle, which shares tensors
-        processes.start_worker(role, job, task)
+    """Start tracker and mapper, each with all threads: whoever computes while the other waits has every core."""
+    job = pickle.dumps(_job(run, num_threads(run.config.threads)))  # not multiprocessing's, which shares tensors
+    processes.start_worker(Role.TRACKER, job, track_all)
+    processes.start_worker(Role.MAPPER, job, map_all)
 
 
 def _start_visualizer(run: Run, channels: Channels) -> Visualizer | None:
