@@ -12,6 +12,7 @@ from xrdslam.algorithms.co_slam.model import CoSlamMap
 from xrdslam.core.algorithm import Scene
 from xrdslam.core.batch import RayBatch, Stage
 from xrdslam.core.errors import ConfigError, PluginError
+from xrdslam.core.mapping import MappingProblem
 from xrdslam.core.optimisation import GroupedOptimiser
 from xrdslam.methods.config import GroundTruthTrackingConfig
 from xrdslam.methods.ground_truth import GroundTruthTracking
@@ -160,3 +161,18 @@ def test_the_map_settles_on_whole_keyframes_after_the_last_frame(monkeypatch: py
     assert all(len(b.frame_slot.unique()) == 3 for b in drawn), "of every keyframe"
     assert (algorithm.model.field.table - table).abs().max() > 0
     assert torch.equal(algorithm.trajectory.current(), final)
+
+
+def test_colour_alone_counts_for_more_while_the_map_settles() -> None:
+    data, algorithm = toy_sequence(num_frames=1), _run(_algorithm(final_rgb_factor=4.0), count=1)
+    mapping, model, frame = algorithm.mapping, algorithm.model, data[0]
+    found = []
+    for factor in (1.0, 4.0):
+        mapping.config.final_rgb_factor = factor
+        mapping.generator.manual_seed(0)
+        model.generator.manual_seed(0)
+        found.append(mapping.losses(MappingProblem(model, [frame], False, 0, is_final=True), 0))
+    plain, settling = found
+    assert settling.keys() == plain.keys()
+    torch.testing.assert_close(settling["rgb"], 4 * plain["rgb"])
+    assert all(torch.equal(settling[name], plain[name]) for name in plain.keys() - {"rgb"})

@@ -16,8 +16,9 @@ where 93 columns of the embedding are filled up to 96 and the outputs to 8 or 32
 import numba
 import numpy as np
 
-from xrdslam.ops.simd import inline_kernel, load, parallel_kernel, splat, store, transpose, zeros
+from xrdslam.ops.simd import inline_kernel, load, parallel_kernel, splat, store, zeros
 from xrdslam.ops.simd_layers import cosine, mask_rows, multiply_add, relu_rows, sine
+from xrdslam.ops.simd_tiles import add_outer, add_product, clear_rows, turn_block, turn_rows
 
 __all__ = ["CHUNK", "decode", "decode_backward", "weight_gradient_size"]
 
@@ -62,68 +63,12 @@ _SCRATCH = _POINTS + 16 * _T
 
 
 @inline_kernel
-def _turned(source: np.ndarray, at: int, stride: int, target: np.ndarray, target_at: int, target_stride: int) -> None:
-    """Transpose a block of 16 x 16."""
-    t = transpose(
-        (
-            load(source, at),
-            load(source, at + stride),
-            load(source, at + 2 * stride),
-            load(source, at + 3 * stride),
-            load(source, at + 4 * stride),
-            load(source, at + 5 * stride),
-            load(source, at + 6 * stride),
-            load(source, at + 7 * stride),
-            load(source, at + 8 * stride),
-            load(source, at + 9 * stride),
-            load(source, at + 10 * stride),
-            load(source, at + 11 * stride),
-            load(source, at + 12 * stride),
-            load(source, at + 13 * stride),
-            load(source, at + 14 * stride),
-            load(source, at + 15 * stride),
-        )
-    )
-    store(target, target_at, t[0])
-    store(target, target_at + target_stride, t[1])
-    store(target, target_at + 2 * target_stride, t[2])
-    store(target, target_at + 3 * target_stride, t[3])
-    store(target, target_at + 4 * target_stride, t[4])
-    store(target, target_at + 5 * target_stride, t[5])
-    store(target, target_at + 6 * target_stride, t[6])
-    store(target, target_at + 7 * target_stride, t[7])
-    store(target, target_at + 8 * target_stride, t[8])
-    store(target, target_at + 9 * target_stride, t[9])
-    store(target, target_at + 10 * target_stride, t[10])
-    store(target, target_at + 11 * target_stride, t[11])
-    store(target, target_at + 12 * target_stride, t[12])
-    store(target, target_at + 13 * target_stride, t[13])
-    store(target, target_at + 14 * target_stride, t[14])
-    store(target, target_at + 15 * target_stride, t[15])
-
-
-@inline_kernel
 def _fill(pack: np.ndarray, at: int, rows: int, s: np.ndarray, target: int) -> None:
     """Set every lane of rows to the biases."""
     for r in range(rows):
         value = splat(pack[at + r])
         store(s, target + r * _T, value)
         store(s, target + r * _T + 16, value)
-
-
-@inline_kernel
-def _clear(rows: int, s: np.ndarray, target: int) -> None:
-    for r in range(2 * rows):
-        store(s, target + r * 16, zeros())
-
-
-@inline_kernel
-def _product(
-    pack: np.ndarray, at: int, width: int, inputs: int, source: int, outputs: int, s: np.ndarray, target: int
-) -> None:
-    """Add a matrix product: `width` numbers of the pack for each of `inputs` rows, the first `outputs` of them used."""
-    for o in range(0, outputs, 8):
-        multiply_add(pack, at + o, 1, width, s, source, inputs, s, target + o * _T)
 
 
 @inline_kernel
@@ -146,7 +91,7 @@ def _read_tile(
             store(s, _ROWS + lane * 64 + c, load(features, at * features.shape[1] + column + c))
     for half in range(0, _T, 16):
         for c in range(0, channels, 16):
-            _turned(s, _ROWS + half * 64 + c, 64, s, _C + c * _T + half, _T)
+            turn_block(s, _ROWS + half * 64 + c, 64, s, _C + c * _T + half, _T)
 
 
 @inline_kernel
@@ -171,21 +116,21 @@ def _forward_tile(pack: np.ndarray, channels: int, s: np.ndarray, kept: np.ndarr
         _fill(pack, _BIAS + 32 * layer, 32, s, _Y)
         before = _H + (layer - 1) * 32 * _T
         if layer == 0:
-            _product(pack, _L0, 32, _EMBED, _E, 32, s, _Y)
+            add_product(pack, _L0, 32, _EMBED, _E, 32, s, _Y)
         elif layer == 3:
-            _product(pack, _L3E, 32, _EMBED, _E, 32, s, _Y)
-            _product(pack, _L3H, 32, 32, before, 32, s, _Y)
+            add_product(pack, _L3E, 32, _EMBED, _E, 32, s, _Y)
+            add_product(pack, _L3H, 32, 32, before, 32, s, _Y)
         else:
-            _product(pack, _L1 if layer == 1 else (_L2 if layer == 2 else _L4), 32, 32, before, 32, s, _Y)
+            add_product(pack, _L1 if layer == 1 else (_L2 if layer == 2 else _L4), 32, 32, before, 32, s, _Y)
         after = _H + layer * 32 * _T
         for half in range(0, _T, 16):
             relu_rows(
                 s, _Y + half, pack, _FEATURE_BIAS + 32 * layer, kept, kept_at + layer * _T + half, s, after + half
             )
-        _product(pack, _FEATURE + layer * channels * 32, 32, channels, _C, 32, s, after)
+        add_product(pack, _FEATURE + layer * channels * 32, 32, channels, _C, 32, s, after)
     output = _FEATURE + 5 * channels * 32
     _fill(pack, output + 1024, 8, s, _O)
-    _product(pack, output, 32, 32, _H + 4 * 32 * _T, 8, s, _O)
+    add_product(pack, output, 32, 32, _H + 4 * 32 * _T, 8, s, _O)
 
 
 @parallel_kernel
@@ -213,21 +158,6 @@ def decode(
 
 
 @inline_kernel
-def _gradient_block(s: np.ndarray, inputs: int, rows: int, grown: np.ndarray, at: int) -> None:
-    """Add, for the rows of an input tile, its products with the 32 turned rows in `_G`, summed over the points."""
-    for r in range(0, rows, 8):
-        multiply_add(s, inputs + r * _T, _T, 1, s, _G, _T, grown, at + r * 32)
-
-
-@inline_kernel
-def _turn_rows(s: np.ndarray, source: int) -> None:
-    """Write 32 rows of 32 points into `_G` as 32 points of 32 rows."""
-    for half in range(0, _T, 16):
-        for row in range(0, 32, 16):
-            _turned(s, source + row * _T + half, _T, s, _G + half * 32 + row, 32)
-
-
-@inline_kernel
 def _sum_points(s: np.ndarray, grown: np.ndarray, at: int) -> None:
     """Add the sums over the points of what is in `_G`."""
     for half in range(0, 32, 16):
@@ -241,8 +171,8 @@ def _sum_points(s: np.ndarray, grown: np.ndarray, at: int) -> None:
 def _embedding_gradient(s: np.ndarray, grown: np.ndarray) -> None:
     """Add the gradient of B, sum over the points of p d^T."""
     for j in range(0, _EMBED, 32):
-        _turn_rows(s, _DE + j * _T)
-        _clear(8, s, _Y)
+        turn_rows(s, _DE + j * _T, _G)
+        clear_rows(8, s, _Y)
         multiply_add(s, _P, _T, 1, s, _G, _T, s, _Y)
         for axis in range(3):
             for half in range(0, 32, 16):
@@ -264,42 +194,42 @@ def _backward_tile(
     """Go back from `_O`; `_DC` gets the features' gradient, `_DE` the embedding's argument's, `grown` the weights'."""
     output = _RF + 5 * channels * 32
     wants_embedding = wants_points or wants_weights
-    _clear(channels, s, _DC)
+    clear_rows(channels, s, _DC)
     if wants_embedding:
-        _clear(_EMBED, s, _DE)
+        clear_rows(_EMBED, s, _DE)
     if wants_weights:
         grown_output = _FEATURE + 5 * channels * 32
-        _turn_rows(s, _O)
+        turn_rows(s, _O, _G)
         _sum_points(s, grown, grown_output + 1024)
-        _gradient_block(s, _H + 4 * 32 * _T, 32, grown, grown_output)
-    _clear(32, s, _D)
-    _product(pack, output, 32, 8, _O, 32, s, _D)
+        add_outer(s, _G, _H + 4 * 32 * _T, 32, grown, grown_output)
+    clear_rows(32, s, _D)
+    add_product(pack, output, 32, 8, _O, 32, s, _D)
     for back in range(5):
         layer = 4 - back
-        _product(pack, _RF + layer * channels * 32, channels, 32, _D, channels, s, _DC)
+        add_product(pack, _RF + layer * channels * 32, channels, 32, _D, channels, s, _DC)
         if wants_weights:
-            _turn_rows(s, _D)
+            turn_rows(s, _D, _G)
             _sum_points(s, grown, _FEATURE_BIAS + 32 * layer)
-            _gradient_block(s, _C, channels, grown, _FEATURE + layer * channels * 32)
+            add_outer(s, _G, _C, channels, grown, _FEATURE + layer * channels * 32)
         for half in range(0, _T, 16):
             mask_rows(s, _D + half, kept, layer * _T + half, s, _Y + half)
         before = _H + (layer - 1) * 32 * _T
         if wants_weights:
-            _turn_rows(s, _Y)
+            turn_rows(s, _Y, _G)
             _sum_points(s, grown, _BIAS + 32 * layer)
             if layer == 0:
-                _gradient_block(s, _E, _EMBED, grown, _L0)
+                add_outer(s, _G, _E, _EMBED, grown, _L0)
             elif layer == 3:
-                _gradient_block(s, _E, _EMBED, grown, _L3E)
-                _gradient_block(s, before, 32, grown, _L3H)
+                add_outer(s, _G, _E, _EMBED, grown, _L3E)
+                add_outer(s, _G, before, 32, grown, _L3H)
             else:
-                _gradient_block(s, before, 32, grown, _L1 if layer == 1 else (_L2 if layer == 2 else _L4))
+                add_outer(s, _G, before, 32, grown, _L1 if layer == 1 else (_L2 if layer == 2 else _L4))
         if wants_embedding and (layer == 0 or layer == 3):
-            _product(pack, _R0 if layer == 0 else _R3E, _EMBED, 32, _Y, _EMBED, s, _DE)
+            add_product(pack, _R0 if layer == 0 else _R3E, _EMBED, 32, _Y, _EMBED, s, _DE)
         if layer > 0:
-            _clear(32, s, _D)
+            clear_rows(32, s, _D)
             at = _R1 if layer == 1 else (_R2 if layer == 2 else (_R3H if layer == 3 else _R4))
-            _product(pack, at, 32, 32, _Y, 32, s, _D)
+            add_product(pack, at, 32, 32, _Y, 32, s, _D)
     if wants_embedding:
         _embed(forward, s, True)
     if wants_weights:
@@ -323,7 +253,7 @@ def _write_tile(
     if d_features.size > 0:
         for half in range(0, _T, 16):
             for c in range(0, channels, 16):
-                _turned(s, _DC + c * _T + half, _T, s, _ROWS + half * 64 + c, 64)
+                turn_block(s, _DC + c * _T + half, _T, s, _ROWS + half * 64 + c, 64)
         for lane in range(min(_T, count - start)):
             at = order[start + lane] * d_features.shape[1] + column
             for c in range(0, channels, 16):
@@ -376,7 +306,7 @@ def decode_backward(
                         s[_P + axis * _T + lane] = points[at, axis]
                     for layer in range(5):
                         bits[layer * _T + lane] = kept[at // _T, layer, at % _T]
-            _clear(32, s, _O)
+            clear_rows(32, s, _O)
             for lane in range(min(_T, count - start)):
                 for o in range(upstream.shape[1]):
                     s[_O + o * _T + lane] = upstream[order[start + lane], o]

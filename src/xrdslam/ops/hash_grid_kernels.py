@@ -1,22 +1,29 @@
 """Hash encoding on the CPU: forward and the points' gradient parallel over points, the table's over levels.
 
 A level belongs to one thread, which goes through the points in order: bits do not depend on the number of threads.
-Rows hold two features; `out` and `upstream` may have more columns than the encoding, which has the first ones.
+Rows hold two features.
 """
+
+# ruff: noqa: ANN401
+
+from typing import Any
 
 import numba
 import numpy as np
 
-from xrdslam.ops.simd import inline_kernel, parallel_kernel
+from xrdslam.ops.simd import LANES, inline_kernel, load, parallel_kernel, store
+from xrdslam.ops.simd_cells import PRIMES, gather_dense, gather_hashed
 from xrdslam.ops.simd_corners import add_to_rows, corner_weights, paired
 
 __all__ = ["encode", "point_gradient", "table_gradient"]
 
-_CHUNK = 1024
+_CHUNK = 512
 _ROWS, _GROUPS = 4096, 4
 _ONE, _HALF = np.float32(1), np.float32(0.5)
 _BOUND = np.float32(1 << 24)
-_P1, _P2 = np.uint32(2654435761), np.uint32(805459861)
+_P1, _P2 = np.uint32(PRIMES[0]), np.uint32(PRIMES[1])
+_CORNERS = 19 * LANES
+"""Fractions and corners' features of 16 points."""
 
 
 @inline_kernel
@@ -74,10 +81,59 @@ def _rows(x: np.int32, y: np.int32, z: np.int32, r: np.int64, first: np.int64, c
 
 
 @inline_kernel
-def _mixed(a: np.float32, b: np.float32, c: np.float32, d: np.float32, s: np.float32, t: np.float32) -> np.float32:
+def _mixed(a: Any, b: Any, c: Any, d: Any, s: Any, t: Any) -> Any:
     """Return the bilinear mean of four values: a, b along s, then c, d, the pairs along t."""
     low, high = a + s * (b - a), c + s * (d - c)
     return low + t * (high - low)
+
+
+@inline_kernel
+def _columns(points: np.ndarray, start: int, stop: int, columns: np.ndarray) -> None:
+    """Write x, y and z of points apart from each other, `_CHUNK` places for each."""
+    for n in range(start, stop):
+        for axis in range(3):
+            columns[axis * _CHUNK + n - start] = points[n, axis]
+
+
+@inline_kernel
+def _gather(
+    columns: np.ndarray,
+    at: int,
+    scale: np.float32,
+    r: np.int64,
+    first: np.int64,
+    rows: np.int64,
+    table: np.ndarray,
+    corners: np.ndarray,
+) -> None:
+    """Write the fractions and the corners' features of 16 points of a level, one by one where one lies outside."""
+    if r * r * r > rows:
+        gather_hashed(columns, at, _CHUNK, scale, rows, first, table, corners)
+    elif not gather_dense(columns, at, _CHUNK, scale, r, first, table, corners):
+        for lane in range(LANES):
+            x, corners[lane] = _place(columns[at + lane], scale)
+            y, corners[LANES + lane] = _place(columns[_CHUNK + at + lane], scale)
+            z, corners[2 * LANES + lane] = _place(columns[2 * _CHUNK + at + lane], scale)
+            seen = _rows(x, y, z, r, first, rows)
+            for k in range(8):
+                for feature in range(2):
+                    corners[(3 + 8 * feature + k) * LANES + lane] = table[seen[k], feature]
+
+
+@inline_kernel
+def _corner_values(corners: np.ndarray, feature: int) -> Any:
+    """Return a feature at the eight corners."""
+    at = (3 + 8 * feature) * LANES
+    return (
+        load(corners, at),
+        load(corners, at + LANES),
+        load(corners, at + 2 * LANES),
+        load(corners, at + 3 * LANES),
+        load(corners, at + 4 * LANES),
+        load(corners, at + 5 * LANES),
+        load(corners, at + 6 * LANES),
+        load(corners, at + 7 * LANES),
+    )
 
 
 @parallel_kernel
@@ -92,20 +148,23 @@ def encode(
     """Write each point's features."""
     count = points.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
+        start, stop = chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)
+        columns, corners = np.zeros(3 * _CHUNK, np.float32), np.empty(_CORNERS, np.float32)
+        features = np.empty((2 * scales.shape[0], _CHUNK), np.float32)
+        _columns(points, start, stop, columns)
         for level in range(scales.shape[0]):
             scale, r, first = scales[level], resolutions[level], offsets[level]
             rows = offsets[level + 1] - first
-            for n in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
-                x, fx = _place(points[n, 0], scale)
-                y, fy = _place(points[n, 1], scale)
-                z, fz = _place(points[n, 2], scale)
-                r0, r1, r2, r3, r4, r5, r6, r7 = _rows(x, y, z, r, first, rows)
+            for at in range(0, stop - start, LANES):
+                _gather(columns, at, scale, r, first, rows, table, corners)
+                fx, fy, fz = load(corners, 0), load(corners, LANES), load(corners, 2 * LANES)
                 for feature in range(2):
-                    low = _mixed(table[r0, feature], table[r1, feature], table[r2, feature], table[r3, feature], fx, fy)
-                    high = _mixed(
-                        table[r4, feature], table[r5, feature], table[r6, feature], table[r7, feature], fx, fy
-                    )
-                    out[n, 2 * level + feature] = low + fz * (high - low)
+                    v = _corner_values(corners, feature)
+                    low, high = _mixed(v[0], v[1], v[2], v[3], fx, fy), _mixed(v[4], v[5], v[6], v[7], fx, fy)
+                    store(features, (2 * level + feature) * _CHUNK + at, low + fz * (high - low))
+        for n in range(start, stop):
+            for column in range(2 * scales.shape[0]):
+                out[n, column] = features[column, n - start]
 
 
 @parallel_kernel
@@ -152,21 +211,29 @@ def point_gradient(
     """Add to each point's gradient: along an axis, scale * (far corners - near corners) under the others' weights."""
     count = points.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
+        start, stop = chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)
+        columns, corners = np.zeros(3 * _CHUNK, np.float32), np.empty(_CORNERS, np.float32)
+        pull, slopes = np.zeros((2 * scales.shape[0], _CHUNK), np.float32), np.zeros(3 * _CHUNK, np.float32)
+        _columns(points, start, stop, columns)
+        for n in range(start, stop):
+            for column in range(2 * scales.shape[0]):
+                pull[column, n - start] = upstream[n, column]
         for level in range(scales.shape[0]):
             scale, r, first = scales[level], resolutions[level], offsets[level]
             rows = offsets[level + 1] - first
-            for n in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
-                g, h = upstream[n, 2 * level], upstream[n, 2 * level + 1]
-                if g == 0 and h == 0:
-                    continue
-                x, fx = _place(points[n, 0], scale)
-                y, fy = _place(points[n, 1], scale)
-                z, fz = _place(points[n, 2], scale)
-                r0, r1, r2, r3, r4, r5, r6, r7 = _rows(x, y, z, r, first, rows)
-                v0, v1 = g * table[r0, 0] + h * table[r0, 1], g * table[r1, 0] + h * table[r1, 1]
-                v2, v3 = g * table[r2, 0] + h * table[r2, 1], g * table[r3, 0] + h * table[r3, 1]
-                v4, v5 = g * table[r4, 0] + h * table[r4, 1], g * table[r5, 0] + h * table[r5, 1]
-                v6, v7 = g * table[r6, 0] + h * table[r6, 1], g * table[r7, 0] + h * table[r7, 1]
-                d_points[n, 0] += scale * _mixed(v1 - v0, v3 - v2, v5 - v4, v7 - v6, fy, fz)
-                d_points[n, 1] += scale * _mixed(v2 - v0, v3 - v1, v6 - v4, v7 - v5, fx, fz)
-                d_points[n, 2] += scale * _mixed(v4 - v0, v5 - v1, v6 - v2, v7 - v3, fx, fy)
+            for at in range(0, stop - start, LANES):
+                _gather(columns, at, scale, r, first, rows, table, corners)
+                fx, fy, fz = load(corners, 0), load(corners, LANES), load(corners, 2 * LANES)
+                g, h = load(pull, 2 * level * _CHUNK + at), load(pull, (2 * level + 1) * _CHUNK + at)
+                a, b = _corner_values(corners, 0), _corner_values(corners, 1)
+                v0, v1, v2, v3 = g * a[0] + h * b[0], g * a[1] + h * b[1], g * a[2] + h * b[2], g * a[3] + h * b[3]
+                v4, v5, v6, v7 = g * a[4] + h * b[4], g * a[5] + h * b[5], g * a[6] + h * b[6], g * a[7] + h * b[7]
+                along_x = _mixed(v1 - v0, v3 - v2, v5 - v4, v7 - v6, fy, fz)
+                along_y = _mixed(v2 - v0, v3 - v1, v6 - v4, v7 - v5, fx, fz)
+                along_z = _mixed(v4 - v0, v5 - v1, v6 - v2, v7 - v3, fx, fy)
+                store(slopes, at, load(slopes, at) + along_x * scale)
+                store(slopes, _CHUNK + at, load(slopes, _CHUNK + at) + along_y * scale)
+                store(slopes, 2 * _CHUNK + at, load(slopes, 2 * _CHUNK + at) + along_z * scale)
+        for n in range(start, stop):
+            for axis in range(3):
+                d_points[n, axis] += slopes[axis * _CHUNK + n - start]

@@ -45,7 +45,7 @@ class _OneBlob(torch.autograd.Function):
         points = points_unit.detach().contiguous()
         out = torch.empty(len(points), 3 * bins)
         with kernel_threads():
-            spread(points.numpy(), bins, 0, out.numpy())
+            spread(points.numpy(), bins, out.numpy())
         ctx.save_for_backward(points)
         ctx.bins = bins
         return out
@@ -59,5 +59,5 @@ class _OneBlob(torch.autograd.Function):
         (points,) = ctx.saved_tensors
         d_points = torch.zeros_like(points)
         with kernel_threads():
-            spread_gradient(points.numpy(), ctx.bins, 0, cotangent.contiguous().numpy(), d_points.numpy())
+            spread_gradient(points.numpy(), ctx.bins, cotangent.contiguous().numpy(), d_points.numpy())
         return d_points, None

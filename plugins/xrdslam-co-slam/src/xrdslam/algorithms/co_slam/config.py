@@ -88,6 +88,8 @@ class CoSlamMappingConfig(IterativeMappingConfig):
     keep_optimiser: bool = True
     final_iterations_per_keyframe: int = 42
     final_rates: list[float] = field(default_factory=lambda: [1.5, 0.02])
+    final_rgb_factor: float = 4.0
+    """What the colour loss is multiplied by while the map settles: then shape is known, and colour is what lacks."""
     bank_share: float = 0.05
     """Share of a keyframe's pixels that it leaves in the bank."""
     min_current_pixels: int = 100
@@ -98,6 +100,7 @@ class CoSlamMappingConfig(IterativeMappingConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(0 < self.bank_share <= 1, "algo.mapping.bank_share", self.bank_share, "lie above 0, and at most at 1")
+        require(self.final_rgb_factor >= 0, "algo.mapping.final_rgb_factor", self.final_rgb_factor, "not be negative")
         least = self.min_current_pixels
         require(least >= 1, "algo.mapping.min_current_pixels", least, "be at least 1")
 

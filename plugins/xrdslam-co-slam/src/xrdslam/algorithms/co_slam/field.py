@@ -8,15 +8,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from xrdslam.ops.dense_layers import linear, outer_sum
 from xrdslam.ops.hash_grid import HashGridLayout, hash_grid_torch
 from xrdslam.ops.one_blob import one_blob_torch
 
 __all__ = ["FieldWeights", "JointField", "joint_field", "joint_field_torch"]
 
 BINS, HIDDEN, GEO = 16, 32, 15
-_CHUNK = 4096
-"""Points at a time: what a chunk needs stays in the cache."""
 
 
 class FieldWeights(NamedTuple):
@@ -38,7 +35,7 @@ def joint_field(
     Differentiable in all that is given.
     """
     tensors = (points_unit, *weights)
-    if all(t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors):
+    if layout.num_features == 32 and all(t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors):
         return _JointField.apply(*tensors, layout)  # type: ignore[no-any-return, no-untyped-call]  # torch
     return joint_field_torch(points_unit, weights, layout)
 
@@ -83,106 +80,105 @@ class JointField(nn.Module):
     @torch.no_grad()
     def distance(self, points_unit: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Return the signed distance alone [truncations], without a gradient."""
-        first = self.geometry[0]
-        parts = [
-            torch.mv(linear(_encoded(part, self.table, self.layout), self.hidden, relu=True), first)
-            for part in torch.split(points_unit, _CHUNK)
-        ]
-        return torch.cat(parts) if parts else points_unit.new_zeros(0)
+        if points_unit.device.type == "cpu" and points_unit.dtype == torch.float32:
+            return _decoded(points_unit.contiguous(), self.weights, self.layout, False)[1]
+        return joint_field_torch(points_unit, self.weights, self.layout)[0]
 
 
 def _uniform(rows: int, columns: int, generator: torch.Generator) -> Tensor:
     return (torch.rand(rows, columns, generator=generator) * 2 - 1) / math.sqrt(columns)
 
 
-def _encoded(points: Tensor, table: Tensor, layout: HashGridLayout) -> Tensor:
-    """Return [hash | one-blob] without a gradient."""
-    if points.device.type != "cpu" or points.dtype != torch.float32:
-        return torch.cat((hash_grid_torch(points, table, layout), one_blob_torch(points, BINS)), 1)
-    out = torch.empty(len(points), layout.num_features + 3 * BINS)
-    _encode_into(points.contiguous(), table, layout, out)
-    return out
-
-
-def _encode_into(points: Tensor, table: Tensor, layout: HashGridLayout, out: Tensor) -> None:
-    from xrdslam.ops.hash_grid_kernels import encode
-    from xrdslam.ops.one_blob_kernels import spread
-    from xrdslam.ops.threads import kernel_threads
-
-    grid = (layout.scales, layout.resolutions, layout.offsets)
-    with kernel_threads():
-        encode(points.numpy(), table.detach().numpy(), *grid, out.numpy())
-        spread(points.numpy(), BINS, layout.num_features, out.numpy())
-
-
 class _JointField(torch.autograd.Function):
-    """The chain in chunks of points; the backward pass is written out, so that nothing needless is computed."""
+    """The grid, then the networks; the backward pass is written out, so that nothing needless is computed."""
 
     @staticmethod
     def forward(ctx: Any, points: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:  # noqa: ANN401
-        table, hidden, geometry, color_hidden, color, layout = rest
-        points, count, blob = points.contiguous(), len(points), layout.num_features
-        encoded = torch.empty(count, blob + 3 * BINS)
-        _encode_into(points, table, layout, encoded)
-        firsts, inputs, seconds, distances, colors = [], [], [], [points.new_zeros(0)], [points.new_zeros(0, 3)]
-        for rows in torch.split(encoded, _CHUNK):
-            firsts.append(linear(rows, hidden, relu=True))
-            geo = linear(firsts[-1], geometry)
-            distances.append(geo[:, 0])
-            inputs.append(torch.cat((rows[:, blob:], geo[:, 1:]), 1))
-            seconds.append(linear(inputs[-1], color_hidden, relu=True))
-            colors.append(linear(seconds[-1], color))
-        ctx.save_for_backward(points, table, hidden, geometry, color_hidden, color, encoded)
-        ctx.chunks = firsts, inputs, seconds
+        *tensors, layout = rest
+        points, weights = points.contiguous(), FieldWeights(*tensors)
+        encoded, distance, color = _decoded(points, weights, layout, True)
+        ctx.save_for_backward(points, encoded, *weights)
         ctx.layout = layout
-        return torch.cat(distances), torch.cat(colors)
+        return distance, color
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, d_distance: Tensor, d_rgb: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
-        points, table, hidden, geometry, color_hidden, color, encoded = ctx.saved_tensors
+    def backward(ctx: Any, d_distance: Tensor, d_color: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        from xrdslam.algorithms.co_slam.field_kernels import CHUNK, GRADIENTS, decode_backward
+        from xrdslam.ops.hash_grid_kernels import point_gradient, table_gradient
+        from xrdslam.ops.threads import kernel_threads
+
+        points, encoded, *tensors = ctx.saved_tensors
+        weights, layout = FieldWeights(*tensors), ctx.layout
         needs_points, needs_table, needs_weights = ctx.needs_input_grad[:3]
-        count, blob, split = len(points), ctx.layout.num_features, 3 * BINS
-        d_weights = [torch.zeros_like(w) for w in (hidden, geometry, color_hidden, color)]
-        d_encoded = torch.empty(count, blob + split if needs_points else blob)
-        back_hidden = hidden.mT if needs_points else hidden[:, :blob].mT
-        for k, (first, given, second) in enumerate(zip(*ctx.chunks, strict=True)):
-            part = slice(k * _CHUNK, k * _CHUNK + len(first))
-            d_second = _masked_(torch.mm(d_rgb[part], color), second)
-            d_given = linear(d_second, color_hidden.mT)
-            d_geo = torch.cat((d_distance[part, None], d_given[:, split:]), 1)
-            d_first = _masked_(linear(d_geo, geometry.mT), first)
-            d_encoded[part] = linear(d_first, back_hidden)
+        grid = (layout.scales, layout.resolutions, layout.offsets)
+        d_encoded = torch.empty_like(encoded)
+        d_points = torch.zeros_like(points) if needs_points else points.new_empty(0, 3)
+        chunks = -(-len(points) // CHUNK) if needs_weights else 0
+        grown = points.new_zeros(chunks, GRADIENTS if needs_weights else 0)
+        d_table = None
+        with kernel_threads():
+            decode_backward(
+                points.numpy(),
+                encoded.numpy(),
+                _forward_pack(weights).numpy(),
+                _backward_pack(weights).numpy(),
+                d_distance.contiguous().numpy(),
+                d_color.contiguous().numpy(),
+                d_encoded.numpy(),
+                d_points.numpy(),
+                grown.numpy(),
+            )
             if needs_points:
-                d_encoded[part, blob:] += d_given[:, :split]
-            if needs_weights:
-                pairs = ((d_first, encoded[part]), (d_geo, first), (d_second, given), (d_rgb[part], second))
-                for d_weight, (back, forth) in zip(d_weights, pairs, strict=True):
-                    d_weight.add_(outer_sum(back, forth))
-        d_points, d_table = _pull_back_encoding(points, table, ctx.layout, d_encoded, needs_points, needs_table)
-        return d_points, d_table, *(d_weights if needs_weights else [None] * 4), None
+                point_gradient(points.numpy(), weights.table.numpy(), *grid, d_encoded.numpy(), d_points.numpy())
+            if needs_table:
+                d_table = torch.zeros_like(weights.table)
+                table_gradient(points.numpy(), *grid, d_encoded.numpy(), d_table.numpy())
+        d_weights = _unpacked(grown.sum(0)) if needs_weights else [None] * 4
+        return d_points if needs_points else None, d_table, *d_weights, None
 
 
-def _masked_(gradient: Tensor, activation: Tensor) -> Tensor:
-    """Set to 0 what a ReLU did not let through."""
-    return torch.ops.aten.threshold_backward.grad_input(gradient, activation, 0, grad_input=gradient)  # type: ignore[no-any-return]
-
-
-def _pull_back_encoding(
-    points: Tensor, table: Tensor, layout: HashGridLayout, d_encoded: Tensor, needs_points: bool, needs_table: bool
-) -> tuple[Tensor | None, Tensor | None]:
-    from xrdslam.ops.hash_grid_kernels import point_gradient, table_gradient
-    from xrdslam.ops.one_blob_kernels import spread_gradient
+def _decoded(
+    points: Tensor, weights: FieldWeights, layout: HashGridLayout, wants_color: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return hash features, distance and colour (empty where it is not wanted)."""
+    from xrdslam.algorithms.co_slam.field_kernels import decode
+    from xrdslam.ops.hash_grid_kernels import encode
     from xrdslam.ops.threads import kernel_threads
 
+    count = len(points)
+    encoded, distance = points.new_empty(count, layout.num_features), points.new_empty(count)
+    color = points.new_empty(count if wants_color else 0, 3)
     grid = (layout.scales, layout.resolutions, layout.offsets)
-    d_points, d_table = None, None
     with kernel_threads():
-        if needs_points:
-            d_points = torch.zeros_like(points)
-            point_gradient(points.numpy(), table.detach().numpy(), *grid, d_encoded.numpy(), d_points.numpy())
-            spread_gradient(points.numpy(), BINS, layout.num_features, d_encoded.numpy(), d_points.numpy())
-        if needs_table:
-            d_table = torch.zeros_like(table)
-            table_gradient(points.numpy(), *grid, d_encoded.numpy(), d_table.numpy())
-    return d_points, d_table
+        encode(points.numpy(), weights.table.detach().numpy(), *grid, encoded.numpy())
+        decode(points.numpy(), encoded.numpy(), _forward_pack(weights).numpy(), distance.numpy(), color.numpy())
+    return encoded, distance, color
+
+
+def _forward_pack(weights: FieldWeights) -> Tensor:
+    """Lay the matrices out as `field_kernels` wants them."""
+    parts = (weights.hidden, weights.geometry.roll(-1, 0), weights.color_hidden, _filled(weights.color, rows=8))
+    return torch.cat([w.detach().mT.reshape(-1) for w in parts])
+
+
+def _backward_pack(weights: FieldWeights) -> Tensor:
+    parts = (weights.hidden, weights.geometry.roll(-1, 0), _filled(weights.color_hidden, columns=64), weights.color)
+    return torch.cat([w.detach().reshape(-1) for w in parts])
+
+
+def _filled(matrix: Tensor, rows: int = 0, columns: int = 0) -> Tensor:
+    """Add rows and columns of zeros up to a size."""
+    below, beside = max(0, rows - matrix.shape[0]), max(0, columns - matrix.shape[1])
+    return nn.functional.pad(matrix.detach(), (0, beside, 0, below))
+
+
+def _unpacked(grown: Float[Tensor, " gradients"]) -> list[Tensor]:
+    """Return the gradients of the four matrices."""
+    hidden, geometry, color_hidden, color = torch.split(grown, [80 * HIDDEN, 16 * HIDDEN, 64 * HIDDEN, 8 * HIDDEN])
+    return [
+        hidden.reshape(80, HIDDEN).mT,
+        geometry.reshape(16, HIDDEN).roll(1, 0),
+        color_hidden.reshape(64, HIDDEN)[:63].mT,
+        color.reshape(8, HIDDEN)[:3],
+    ]

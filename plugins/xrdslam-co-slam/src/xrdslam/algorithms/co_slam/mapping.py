@@ -100,6 +100,13 @@ class CoSlamMapping(GradientMapping):
         parts = zip(_columns(old), _columns(new), strict=True)
         return RayBatch(*(torch.cat(pair) for pair in parts))
 
+    def losses(self, problem: MappingProblem, iteration: int) -> dict[str, Tensor]:
+        """Return the map's losses; colour counts for more when the map settles."""
+        found = super().losses(problem, iteration)
+        if problem.is_final and "rgb" in found:
+            found["rgb"] = self.config.final_rgb_factor * found["rgb"]
+        return found
+
     def _any_rays(self, keyframes: Sequence[Frame]) -> Batch:
         drawn = torch.randperm(len(keyframes), generator=self.generator)[:_FINAL_KEYFRAMES].tolist()
         frames = [keyframes[k] for k in drawn]
