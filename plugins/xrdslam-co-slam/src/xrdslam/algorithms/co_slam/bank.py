@@ -7,7 +7,7 @@ from torch import Tensor
 from xrdslam.core.batch import RayBatch
 from xrdslam.core.frame import Frame
 
-__all__ = ["RayBank"]
+__all__ = ["RayBank", "in_world", "rays_of"]
 
 
 class RayBank:
@@ -21,14 +21,9 @@ class RayBank:
 
     def add(self, frame: Frame, share: float, generator: torch.Generator) -> None:
         """Draw from a keyframe, without replacement, over the whole image."""
-        camera, depth = frame.camera, frame.depth
-        pixels = camera.width * camera.height
+        pixels = frame.camera.width * frame.camera.height
         count = max(1, int(share * pixels))
-        drawn = torch.randperm(pixels, generator=generator)[:count].to(frame.device)
-        u, v = drawn % camera.width, drawn // camera.width
-        directions = camera.rays(torch.stack((u, v), -1).to(frame.rgb.dtype))
-        measured = frame.rgb.new_zeros(count) if depth is None else depth[v, u]
-        rows = torch.cat((directions, frame.rgb[v, u], measured[:, None]), 1)
+        rows = rays_of(frame, torch.randperm(pixels, generator=generator)[:count].to(frame.device))
         slot = torch.full((count,), len(self.indices), device=frame.device)
         self.rays = torch.cat((self.rays.to(rows), rows))
         self.slots = torch.cat((self.slots.to(slot), slot))
@@ -54,6 +49,14 @@ class RayBank:
         """Take over what `state_dict` returned."""
         self.indices = state["indices"].tolist()
         self.rays, self.slots = state["rays"].clone(), state["slots"].clone()
+
+
+def rays_of(frame: Frame, pixels: Int64[Tensor, " n"]) -> Float[Tensor, "n 7"]:
+    """Return direction, colour and depth (0 where none was measured) of pixels, counted row by row."""
+    u, v = pixels % frame.camera.width, pixels // frame.camera.width
+    directions = frame.camera.rays(torch.stack((u, v), -1).to(frame.rgb.dtype))
+    depth = frame.rgb.new_zeros(len(pixels)) if frame.depth is None else frame.depth[v, u]
+    return torch.cat((directions, frame.rgb[v, u], depth[:, None]), 1)
 
 
 def in_world(

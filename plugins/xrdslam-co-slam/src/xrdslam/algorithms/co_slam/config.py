@@ -86,9 +86,9 @@ class CoSlamMappingConfig(IterativeMappingConfig):
     pose_accumulate: int = 5
     num_pixels: int = 2048
     keep_optimiser: bool = True
-    final_iterations_per_keyframe: int = 42
+    final_iterations_per_keyframe: int = 32
     final_rates: list[float] = field(default_factory=lambda: [1.5, 0.02])
-    final_rgb_factor: float = 4.0
+    final_rgb_factor: float = 10.0
     """What the colour loss is multiplied by while the map settles: then shape is known, and colour is what lacks."""
     bank_share: float = 0.05
     """Share of a keyframe's pixels that it leaves in the bank."""

@@ -6,7 +6,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from xrdslam.algorithms.co_slam.bank import RayBank
+from xrdslam.algorithms.co_slam.bank import RayBank, in_world, rays_of
 from xrdslam.algorithms.co_slam.config import CoSlamMappingConfig
 from xrdslam.core.batch import Batch, BatchKind, RayBatch
 from xrdslam.core.frame import Frame
@@ -18,7 +18,7 @@ from xrdslam.core.sampling import sample_rays
 
 __all__ = ["CoSlamMapping"]
 
-_FINAL_KEYFRAMES = 64
+_FINAL_KEYFRAMES = 16
 """So many keyframes give rays to an iteration of the last ones: each costs a few small operations."""
 
 
@@ -88,7 +88,7 @@ class CoSlamMapping(GradientMapping):
         frame = problem.window[-1]
         total = self.config.num_pixels
         if problem.is_final:
-            return self._any_rays(problem.window)
+            return self._any_rays(problem)
         if len(self.bank.indices) == 0:
             return sample_rays([frame], [frame.pose.matrix().detach()], total, self.generator)
         rotations, centers = self._poses(problem)
@@ -107,11 +107,18 @@ class CoSlamMapping(GradientMapping):
             found["rgb"] = self.config.final_rgb_factor * found["rgb"]
         return found
 
-    def _any_rays(self, keyframes: Sequence[Frame]) -> Batch:
-        drawn = torch.randperm(len(keyframes), generator=self.generator)[:_FINAL_KEYFRAMES].tolist()
-        frames = [keyframes[k] for k in drawn]
-        poses = [frame.pose.matrix().detach() for frame in frames]
-        return sample_rays(frames, poses, self.config.num_pixels, self.generator)
+    def _any_rays(self, problem: MappingProblem) -> Batch:
+        """Draw pixels of whole keyframes, as many of each."""
+        keyframes = problem.window
+        slots = torch.randperm(len(keyframes), generator=self.generator)[:_FINAL_KEYFRAMES]
+        share = -(-self.config.num_pixels // len(slots))
+        parts = []
+        for slot in slots.tolist():
+            frame = keyframes[slot]
+            pixels = torch.randint(frame.camera.width * frame.camera.height, (share,), generator=self.generator)
+            parts.append(rays_of(frame, pixels.to(frame.device)))
+        rays = torch.cat(parts)
+        return in_world(rays, slots.repeat_interleave(share).to(rays.device), *self._poses(problem))
 
     def _poses(self, problem: MappingProblem) -> tuple[Tensor, Tensor]:
         """Return the rotations and centres of the whole window, those that move with their gradients."""
