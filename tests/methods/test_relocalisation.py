@@ -1,5 +1,6 @@
 """Recognising lost frames: found to centimetres where there is evidence, and not at all where there is none."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -64,8 +65,10 @@ def opposite_alike(points: Tensor, wall: Tensor) -> Tensor:
     return hashed(*(turned / TILE_M).floor().unbind(-1))
 
 
-def view(T_world_camera: Tensor, paint: Paint = tiles, index: int = 0, with_depth: bool = True) -> Frame:
-    directions = CAMERA.rays().double() @ T_world_camera[:3, :3].double().mT
+def view(
+    T_world_camera: Tensor, paint: Paint = tiles, index: int = 0, with_depth: bool = True, camera: Camera = CAMERA
+) -> Frame:
+    directions = camera.rays().double() @ T_world_camera[:3, :3].double().mT
     origin = T_world_camera[:3, 3].double()
     distances = (torch.where(directions > 0, HIGH.double(), LOW.double()) - origin) / directions
     depth, axis = distances.min(-1)
@@ -74,7 +77,7 @@ def view(T_world_camera: Tensor, paint: Paint = tiles, index: int = 0, with_dept
     # A point lies on its wall but for rounding, which must not change the tile.
     points = points.scatter(-1, axis[..., None], torch.where(heading, 7.5, -7.5)[..., None].double() * TILE_M)
     grey = paint(points, 2 * axis + heading).float()
-    return Frame(index, index, CAMERA, grey[..., None].expand(-1, -1, 3), depth.float() if with_depth else None)
+    return Frame(index, index, camera, grey[..., None].expand(-1, -1, 3), depth.float() if with_depth else None)
 
 
 def pose(translation: list[float], rotation: list[float]) -> Tensor:
@@ -148,6 +151,51 @@ def test_without_small_gicp_the_pose_of_the_points_stands(
     found = tiled[0].find(view(NEAR, index=50), tiled[1])
     assert found.T_world_camera is not None
     assert error_of(found.T_world_camera, NEAR)[0] < 0.03
+
+
+def unregistered(T_world_camera: Tensor, index: int = 0) -> Frame:
+    """A frame whose colours were taken through a longer lens than its depths, and nobody put them together."""
+    frame = view(T_world_camera, index=index)
+    long = dataclasses.replace(CAMERA, fx=286.0, fy=286.0)
+    rgb = view(T_world_camera, index=index, camera=long).rgb
+    return Frame(index, index, CAMERA, rgb, frame.depth)
+
+
+def test_depth_corrects_what_colour_misleads() -> None:
+    relocaliser, trajectory = OrbRelocaliser(), Trajectory()
+    corner = pose([-0.6, -0.3, -0.9], [-0.45, 0.7, 0.0])  # of three walls: depth tells every motion
+    trajectory.append(0, 0, corner)
+    relocaliser.remember(unregistered(corner), trajectory)
+    there = corner @ pose([0.2, 0.05, 0.1], [-0.05, 0.1, 0.03])
+    frame = unregistered(there, 50)
+    found = relocaliser.find(frame, trajectory)
+    assert found.T_world_camera is not None, found.reason
+    off_m, off_rad = error_of(found.T_world_camera, there)
+    assert off_m < 0.002
+    assert off_rad < 0.001
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(relocalisation, "_refine", lambda found, *_: found)
+        by_colour = relocaliser.find(frame, trajectory)
+    assert by_colour.T_world_camera is not None
+    assert error_of(by_colour.T_world_camera, there)[0] > 0.01, "the matches alone lead elsewhere"
+
+
+def test_registration_does_not_slide_along_a_wall() -> None:
+    """Before a plain wall, surfaces that are nearer to one another say nothing of the motion along it."""
+    T_view_frame = pose([0.1, 0.05, 0.0], [0.0, 0.0, 0.0])
+    before_a_wall = pose([0.0, 0.0, 1.2], [0.0, 0.0, 0.0])
+    seen, frame = view(before_a_wall), view(before_a_wall @ T_view_frame, index=50)
+    surface = views.surface_of(seen)
+    points = surface[::40].astype(np.float64)
+    pixels, _ = relocalisation.working_camera(CAMERA).project(torch.from_numpy(points - [0.1, 0.05, 0.0]))
+    start = (T_view_frame @ pose([0.01, 0.0, 0.03], [0.01, 0.0, 0.0])).double().numpy()
+    found = relocalisation._Hypothesis(views.View(0, detect(seen), surface, 1.3), start, points, pixels.numpy())
+    assert relocalisation._refine(found, frame, views.surface_of(frame)) is found
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(relocalisation, "MIN_DETERMINATION", 0.0)
+        slid = relocalisation._refine(found, frame, views.surface_of(frame))
+    assert error_of(torch.from_numpy(slid.T_view_frame), T_view_frame)[0] > 0.05
+    assert relocalisation._offset_m(slid, frame) < 0.001 < relocalisation._offset_m(found, frame)
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,9 @@ class Cloud(Protocol):
     def size(self) -> int:
         """Return how many points there are."""
 
+    def points(self) -> Float64[np.ndarray, "n 4"]:
+        """Return the points, homogeneous."""
+
 
 @dataclass(frozen=True)
 class Registration:
@@ -51,6 +54,23 @@ class Registration:
     """Sum of half squared Mahalanobis distances over the inliers."""
     iterations: int
     converged: bool
+    information: Float64[np.ndarray, "6 6"]
+    """Of a small motion of the camera (rotation, translation in its axes), as far as the points tell it."""
+
+    def determination(self, cloud: "Cloud") -> float:
+        """Return how well the registered cloud tells the worst known motion, in parts of the best known one.
+
+        Motions are translations, and turns about the cloud's middle by what moves its points as far. Below a hundredth
+        before a plain wall, unless its points are noisy; 0.03 and more in furnished rooms.
+        """
+        points = cloud.points()[:, :3]
+        middle = points.mean(0)
+        spread_m = float(np.sqrt(((points - middle) ** 2).sum(1).mean()))
+        motions = np.eye(6)
+        motions[3:, :3] = np.cross(np.eye(3), middle)  # how a turn about the middle moves the origin
+        motions[:, :3] /= max(spread_m, 1e-9)
+        known = np.linalg.eigvalsh(motions.T @ self.information @ motions)
+        return float(known[0] / known[-1]) if known[-1] > 0 else 0.0
 
 
 class GaussianMaps:
@@ -124,7 +144,8 @@ class GaussianMaps:
             T_map_camera = result.T_target_source
             total += result.iterations
         T_world_camera = np.linalg.inv(self._T_map_world) @ T_map_camera
-        return Registration(T_world_camera, result.num_inliers, result.error, total, result.converged)
+        converged, information = result.converged, np.array(result.H)
+        return Registration(T_world_camera, result.num_inliers, result.error, total, converged, information)
 
     def scans(self) -> tuple[Float32[np.ndarray, "n 3"], Int64[np.ndarray, " s"], Float64[np.ndarray, "s 4 4"]]:
         """Return every scan's camera-frame points one after the other, their numbers, and T_world_camera of each."""

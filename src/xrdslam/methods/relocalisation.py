@@ -45,7 +45,11 @@ SAME_M, SAME_RAD = 0.25, 0.25
 """Poses that are as near as this are one."""
 ICP_VOXELS_M = (0.3, 0.1)
 MIN_REPROJECTED = 0.8
-"""Share of the matches that must still lie within twice the tolerance after ICP, which slides along plain walls."""
+"""Share of the matches that must still lie within twice the tolerance after ICP, which slides along plain walls, ..."""
+MIN_DETERMINATION = 0.02
+"""... unless the surfaces determine the pose this well ..."""
+NEARER = 0.6
+"""... and are this much nearer to one another: matches mislead where colour is not registered to depth."""
 
 
 @dataclass(frozen=True)
@@ -185,10 +189,7 @@ class OrbRelocaliser(Relocaliser):
                 return Relocalisation(
                     None, f"frames {best.view.index} and {other.view.index} show two places that look alike"
                 )
-        refined = _refine(best, surface)
-        is_sound = refined.reprojected(frame.camera, 2 * REPROJECTION_PX) >= MIN_REPROJECTED
-        if is_sound and _is_seen(depth_agreement(frame, best.view.surface, refined.T_view_frame)):
-            best = refined
+        best = _refine(best, frame, surface)
         self._found = frame.index, best.view
         reason = f"frame {best.view.index} ({best.num_inliers} points agree)"
         return Relocalisation(torch.from_numpy(best.in_world(trajectory)), reason)
@@ -212,17 +213,25 @@ def depth_agreement(
     """
     if frame.depth is None or not len(surface):
         return 0.0, 0.0
+    z, measured = _depths_at(frame, surface, T_view_frame)
+    tolerance = 0.02 + 0.03 * measured
+    agreeing = int((np.abs(z - measured) <= tolerance).sum())
+    contradicted = int((z < measured - tolerance).sum())
+    return agreeing / len(surface), agreeing / max(1, agreeing + contradicted)
+
+
+def _depths_at(
+    frame: Frame, surface: Float32[np.ndarray, "m 3"], T_view_frame: Float64[np.ndarray, "4 4"]
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Return the depths [m] that a view's points have in a frame, and those measured there; others are left out."""
+    assert frame.depth is not None, "who asks has made sure"
     T_frame_view = np.linalg.inv(T_view_frame)
     points = surface.astype(np.float64) @ T_frame_view[:3, :3].T + T_frame_view[:3, 3]
     pixels, z = frame.camera.project(torch.from_numpy(points))
     u, v = pixels.round().unbind(-1)
     inside = (z > 0) & (u >= 0) & (v >= 0) & (u < frame.camera.width) & (v < frame.camera.height)
     measured = frame.depth.cpu().double()[v[inside].long(), u[inside].long()]
-    z, measured = z[inside][measured > 0], measured[measured > 0]
-    tolerance = 0.02 + 0.03 * measured
-    agreeing = int(((z - measured).abs() <= tolerance).sum())
-    contradicted = int((z < measured - tolerance).sum())
-    return agreeing / len(surface), agreeing / max(1, agreeing + contradicted)
+    return z[inside][measured > 0].numpy(), measured[measured > 0].numpy()
 
 
 def _is_seen(found: tuple[float, float]) -> bool:
@@ -236,16 +245,29 @@ def _is_same(T_world_a: Float64[np.ndarray, "4 4"], T_world_b: Float64[np.ndarra
     return float(np.linalg.norm(T_a_b[:3, 3])) < SAME_M and turn_rad < SAME_RAD
 
 
-def _refine(found: _Hypothesis, surface: Float32[np.ndarray, "m 3"]) -> _Hypothesis:
-    """Register the frame's surface to the view's; where ICP is missing or leaves the place, the pose stays."""
+def _refine(found: _Hypothesis, frame: Frame, surface: Float32[np.ndarray, "m 3"]) -> _Hypothesis:
+    """Register the frame's surface to the view's; where ICP is missing or not to be believed, the pose stays."""
     try:
         maps = GaussianMaps(ICP_VOXELS_M, num_neighbours=10)
     except MissingExtraError:
         log.debug("small_gicp is not installed: the pose is refined by the tracker alone")
         return found
     maps.insert(found.view.surface, maps.cloud(found.view.surface), np.eye(4))
-    result = maps.register(maps.cloud(surface), found.T_view_frame, coarse=True, max_iterations=30)
+    cloud = maps.cloud(surface)
+    result = maps.register(cloud, found.T_view_frame, coarse=True, max_iterations=30)
     pose = result.T_world_camera
     if not np.isfinite(pose).all() or not _is_same(pose, found.T_view_frame):
         return found
-    return found.at(pose)
+    refined = found.at(pose)
+    if not _is_seen(depth_agreement(frame, found.view.surface, pose)):
+        return found
+    if refined.reprojected(frame.camera, 2 * REPROJECTION_PX) >= MIN_REPROJECTED:
+        return refined
+    is_determined = result.determination(cloud) >= MIN_DETERMINATION
+    return refined if is_determined and _offset_m(refined, frame) <= NEARER * _offset_m(found, frame) else found
+
+
+def _offset_m(found: _Hypothesis, frame: Frame) -> float:
+    """Return how far the frame's depths are from the view's, the median."""
+    z, measured = _depths_at(frame, found.view.surface, found.T_view_frame)
+    return float(np.median(np.abs(z - measured))) if len(z) else math.inf
