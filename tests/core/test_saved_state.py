@@ -1,5 +1,6 @@
 """State in a file: what went in comes out, to the bit; what executes code does not go in."""
 
+import ctypes
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,21 @@ def test_a_nest_of_every_kind_of_tensor_comes_back(tmp_path: Path) -> None:
     assert nest["deep"]["er"]["turned"].data_ptr() % 64 == 0, "kernels that read aligned memory give the same bits"
     nest["twice"]["all"].zero_()
     assert float(nest["twice"]["again"].sum()) == 15
+
+
+def test_a_type_that_numpy_lacks_comes_back(tmp_path: Path) -> None:
+    state = {"a": {"brain": torch.tensor([1.5, torch.nan], dtype=torch.bfloat16)}, "count": torch.tensor(7)}
+    save_state(tmp_path / "state", state, {})
+    assert different_leaves(state, load_state(tmp_path / "state")[0]) == []
+
+
+def test_a_state_that_grows_leaves_nothing_behind(tmp_path: Path) -> None:
+    """A long run writes one that is larger every fifty frames."""
+    save_state(tmp_path / "state", {"rows": torch.zeros(12_345)}, {})
+    kept = len(ctypes._pointer_type_cache)  # type: ignore[attr-defined]  # for ever, a type for each length
+    for rows in range(12_346, 12_366):
+        save_state(tmp_path / "state", {"rows": torch.zeros(rows)}, {})
+    assert len(ctypes._pointer_type_cache) == kept  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(

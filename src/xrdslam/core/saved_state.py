@@ -9,8 +9,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.numpy import save_file as save_arrays
+from safetensors.torch import save_file as save_tensors
 from torch import Tensor
 
 from xrdslam.core.errors import DataError, PluginError
@@ -20,6 +22,10 @@ __all__ = ["load_state", "read_header", "save_state"]
 
 METADATA = "xrdslam"
 """Where in safetensors' metadata our header lies."""
+NUMPY_HAS = frozenset(
+    {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64}
+    | {torch.float16, torch.float32, torch.float64}
+)
 
 
 def save_state(path: Path, state: Mapping[str, object], header: Mapping[str, object]) -> None:
@@ -37,11 +43,19 @@ def save_state(path: Path, state: Mapping[str, object], header: Mapping[str, obj
     text = json.dumps({"header": dict(header), "empty": list(_empty(state))})
     with replaced(path) as temporary:
         try:
-            save_file(tensors, temporary, {METADATA: text})
+            _write(temporary, tensors, {METADATA: text})
         except SafetensorError as error:  # what the system refuses arrives under this name
             raise OSError(f"{path} cannot be written: {error}") from error
         with temporary.open("rb") as written:
             os.fsync(written.fileno())  # an older file may go once this one has its name
+
+
+def _write(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
+    """Write tensors as arrays, but for types that numpy lacks: the other way keeps two types a length for ever."""
+    if all(tensor.dtype in NUMPY_HAS for tensor in tensors.values()):
+        save_arrays({name: tensor.numpy() for name, tensor in tensors.items()}, path, metadata)
+    else:
+        save_tensors(tensors, path, metadata)
 
 
 def load_state(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
