@@ -60,6 +60,8 @@ class Soak:
         Least squares of values = a + b map + c frame with b >= 0 over the frames after the warm-up.
         """
         late = self.frame >= WARM_UP
+        if np.ptp(self.map_size[late]) == 0:  # a map of fixed size explains nothing
+            return 0.0, self.slope(values)
         columns = np.stack([np.ones(late.sum()), self.map_size[late], self.frame[late]], 1)
         scale = np.abs(columns).max(0)
         found = lsq_linear(columns / scale, values[late], ([-np.inf, 0, -np.inf], np.inf)).x / scale

@@ -60,3 +60,9 @@ def test_a_run_is_read_and_drawn(tmp_path: Path) -> None:
     assert found.map_size[-1] == 1110
     found.draw(tmp_path / "soak.png", "toy")
     assert (tmp_path / "soak.png").stat().st_size > 10_000
+
+
+def test_a_map_of_fixed_size_explains_nothing() -> None:
+    fixed = np.full(len(FRAMES), 5000.0)
+    soak = SOAK.Soak(FRAMES, FRAMES, fixed, FRAMES // 5, FRAMES, FRAMES, 0.1)
+    assert soak.creep(500 + 0.02 * FRAMES) == pytest.approx((0.0, 20.0))
