@@ -8,7 +8,7 @@ from torch import Tensor
 
 from xrdslam.core.errors import DataError
 from xrdslam.core.geometry import se3, so3
-from xrdslam.core.pose import OptimizablePose, PivotedPose, RotationKind, stacked
+from xrdslam.core.pose import OptimizablePose, PivotedPose, RotationKind, move_, stacked
 
 KINDS: list[RotationKind] = ["axis_angle", "quaternion"]
 PRECISIONS = [(torch.float32, 1e-6), (torch.float64, 2e-15)]  # about 8 eps
@@ -127,3 +127,19 @@ def test_stacked_poses_are_the_poses(kinds: list[RotationKind]) -> None:
     torch.testing.assert_close(stacked(poses), expected, rtol=0, atol=1e-15)
     pivoted = [PivotedPose.about(motion(0.3), torch.tensor([1.0, 2.0, 3.0]).double()) for _ in range(2)]
     torch.testing.assert_close(stacked(pivoted), torch.stack([pose.matrix() for pose in pivoted]), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    "kinds", [("axis_angle", "axis_angle"), ("quaternion", "quaternion"), ("axis_angle", "quaternion")]
+)
+def test_poses_moved_together_are_where_each_would_be_moved_to(kinds: tuple[RotationKind, RotationKind]) -> None:
+    g = torch.Generator().manual_seed(0)
+    targets = se3.compose(so3.exp(torch.randn(2, 3, generator=g)), torch.randn(2, 3, generator=g))
+    poses = [OptimizablePose.from_matrix(torch.eye(4), kind) for kind in kinds]
+    parameters = [pose.rotation for pose in poses]
+    move_(poses, targets)
+    torch.testing.assert_close(stacked(poses).detach(), targets)
+    assert all(pose.rotation is parameter for pose, parameter in zip(poses, parameters, strict=True))
+    targets[1, 0, 0] = torch.nan
+    with pytest.raises(DataError, match="not a rigid motion"):
+        move_(poses, targets)

@@ -22,6 +22,7 @@ from xrdslam.core.optimisation import (
     exponential_decay,
     product,
 )
+from xrdslam.core.pose import stacked
 from xrdslam.core.sampling import sample_rays
 
 __all__ = ["GradientMapping", "MappingMethod", "MappingProblem", "MappingResult"]
@@ -102,7 +103,10 @@ class GradientMapping(MappingMethod, IterativeOptimisation[MappingProblem]):
         optimum = self.optimise(problem)
         moved = self.movable(problem)
         # Where keyframes moved, the frame is named too, for it would else be carried along by its keyframe.
-        poses = {f.index: f.pose.matrix().detach() for f in ([*moved, frame] if moved else [])}
+        poses = {}
+        if moved:
+            matrices = stacked([f.pose for f in (*moved, frame)]).detach()
+            poses = {f.index: matrix for f, matrix in zip((*moved, frame), matrices, strict=True)}
         return MappingResult(optimum.iterations, float(optimum.loss), added, poses)
 
     def finish(self, model: Model, keyframes: Sequence[Frame]) -> MappingResult:

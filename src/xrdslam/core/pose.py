@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from xrdslam.core.errors import DataError
 from xrdslam.core.geometry import se3, so3
 
-__all__ = ["OptimizablePose", "PivotedPose", "RotationKind", "stacked"]
+__all__ = ["OptimizablePose", "PivotedPose", "RotationKind", "move_", "stacked"]
 
 RotationKind = Literal["axis_angle", "quaternion"]
 
@@ -121,9 +121,28 @@ class PivotedPose(OptimizablePose):
 
 def stacked(poses: Sequence[OptimizablePose]) -> Float[Tensor, "n 4 4"]:
     """Return T_world_camera of several poses, worked out at once where they have the same parameters."""
-    kinds = {(type(pose), pose.kind) for pose in poses}
-    if kinds not in ({(OptimizablePose, "axis_angle")}, {(OptimizablePose, "quaternion")}):
+    if not _are_alike(poses):
         return torch.stack([pose.matrix() for pose in poses])
     rotations = torch.stack([pose.rotation for pose in poses])
     exponential = so3.exp if poses[0].kind == "axis_angle" else so3.from_quat_wxyz
     return se3.compose(exponential(rotations), torch.stack([pose.translation for pose in poses]))
+
+
+@torch.no_grad()
+def move_(poses: Sequence[OptimizablePose], T_world_cameras: Float[Tensor, "n 4 4"]) -> None:
+    """Move poses to rigid matrices in place, as `set_` does, worked out at once where they have the same parameters."""
+    if not _are_alike(poses) or not se3.is_rigid(T_world_cameras):
+        for pose, matrix in zip(poses, T_world_cameras, strict=True):
+            pose.set_(matrix)
+        return
+    logarithm = so3.log if poses[0].kind == "axis_angle" else so3.to_quat_wxyz
+    rotations = logarithm(T_world_cameras[:, :3, :3].double())
+    for pose, rotation, center in zip(poses, rotations, T_world_cameras[:, :3, 3], strict=True):
+        pose.rotation.copy_(rotation)
+        pose.translation.copy_(center)
+
+
+def _are_alike(poses: Sequence[OptimizablePose]) -> bool:
+    """Say whether there are poses, and all are plain ones of one kind."""
+    kinds = {(type(pose), pose.kind) for pose in poses}
+    return kinds in ({(OptimizablePose, "axis_angle")}, {(OptimizablePose, "quaternion")})

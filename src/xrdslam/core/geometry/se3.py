@@ -27,11 +27,11 @@ def transform(T_a_b: Float[Tensor, "4 4"], points_b: Float[Tensor, "*batch 3"]) 
     return points_b @ T_a_b[:3, :3].mT + T_a_b[:3, 3]
 
 
-def is_rigid(T_a_b: Float[Tensor, "4 4"], tolerance: float = 1e-3) -> bool:
-    """Say whether a matrix is finite, orthonormal within `tolerance`, right-handed, and has the bottom row 0 0 0 1."""
+def is_rigid(T_a_b: Float[Tensor, "*batch 4 4"], tolerance: float = 1e-3) -> bool:
+    """Say whether all matrices are finite, orthonormal within `tolerance`, right-handed, with a bottom row 0 0 0 1."""
     if not bool(torch.isfinite(T_a_b).all()):
         return False
-    R = T_a_b[:3, :3].double()
+    R = T_a_b[..., :3, :3].double()
     orthonormal = (R @ R.mT - torch.eye(3, dtype=torch.float64, device=R.device)).abs().max() < tolerance
-    bottom = (T_a_b[3].double() - T_a_b.new_tensor([0, 0, 0, 1]).double()).abs().max() < tolerance
-    return bool(orthonormal & bottom & (torch.linalg.det(R) > 0))
+    bottom = (T_a_b[..., 3, :].double() - T_a_b.new_tensor([0, 0, 0, 1]).double()).abs().max() < tolerance
+    return bool(orthonormal & bottom & (torch.linalg.det(R) > 0).all())

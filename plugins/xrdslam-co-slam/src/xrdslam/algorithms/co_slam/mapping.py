@@ -10,10 +10,11 @@ from xrdslam.algorithms.co_slam.bank import RayBank, in_world, rays_of
 from xrdslam.algorithms.co_slam.config import CoSlamMappingConfig
 from xrdslam.core.batch import Batch, BatchKind, RayBatch
 from xrdslam.core.frame import Frame
-from xrdslam.core.geometry import so3
+from xrdslam.core.geometry import se3, so3
 from xrdslam.core.mapping import GradientMapping, MappingProblem, MappingResult
 from xrdslam.core.model import Model
 from xrdslam.core.optimisation import Optimum, ParameterGroup
+from xrdslam.core.pose import move_, stacked
 from xrdslam.core.sampling import sample_rays
 
 __all__ = ["CoSlamMapping"]
@@ -58,8 +59,8 @@ class CoSlamMapping(GradientMapping):
         if not frames:
             return []
         with torch.no_grad():
-            rotations = nn.Parameter(torch.stack([so3.log(f.pose.rotation_matrix()) for f in frames]))
-            centers = nn.Parameter(torch.stack([f.pose.matrix()[:3, 3] for f in frames]))
+            matrices = stacked([f.pose for f in frames])
+            rotations, centers = nn.Parameter(so3.log(matrices[:, :3, :3])), nn.Parameter(matrices[:, :3, 3].clone())
         problem.memory["poses"] = rotations, centers
         config = self.config
         return [
@@ -72,12 +73,10 @@ class CoSlamMapping(GradientMapping):
         optimum = super().optimise(problem)
         if "poses" in problem.memory:
             rotations, centers = problem.memory["poses"]
-            with torch.no_grad():
-                for frame, rotation, center in zip(self.movable(problem), rotations, centers, strict=True):
-                    if bool(torch.isfinite(rotation).all() & torch.isfinite(center).all()):
-                        matrix = torch.eye(4).to(center)
-                        matrix[:3, :3], matrix[:3, 3] = so3.exp(rotation), center
-                        frame.pose.set_(matrix)
+            matrices = se3.compose(so3.exp(rotations), centers).detach()
+            sound = torch.isfinite(matrices).flatten(1).all(1)
+            frames = [f for f, is_sound in zip(self.movable(problem), sound.tolist(), strict=True) if is_sound]
+            move_([f.pose for f in frames], matrices[sound])
         return optimum
 
     def batch(self, problem: MappingProblem) -> Batch:
@@ -125,7 +124,7 @@ class CoSlamMapping(GradientMapping):
         fixed = problem.memory.get("fixed")
         if fixed is None:
             with torch.no_grad():
-                matrices = torch.stack([f.pose.matrix() for f in problem.window])
+                matrices = stacked([f.pose for f in problem.window])
             moved = {f.index for f in self.movable(problem)}
             places = torch.tensor([i for i, f in enumerate(problem.window) if f.index in moved], dtype=torch.int64)
             fixed = problem.memory["fixed"] = (matrices, places.to(matrices.device))
