@@ -1,5 +1,10 @@
 """Hash grid: published level sizes and indices, the kernel against its twin, closed forms."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -90,3 +95,26 @@ def test_what_is_no_number_does_not_reach_beyond_the_table() -> None:
 def test_a_layout_that_cannot_be_is_refused(settings: dict[str, int]) -> None:
     with pytest.raises(ConfigError, match="hash grid of"):
         HashGridLayout.build(**settings)
+
+
+HASHED = """
+import hashlib
+import torch
+from xrdslam.ops.hash_grid import HashGridLayout, hash_grid
+layout, g = HashGridLayout.build(60, 9, levels=6, base=4), torch.Generator().manual_seed(0)
+points = torch.rand(2000, 3, generator=g).requires_grad_()
+table = torch.randn(layout.num_rows, 2, generator=g).requires_grad_()
+out = hash_grid(points, table, layout)
+out.square().sum().backward()
+print(*(hashlib.sha256(t.detach().numpy().tobytes()).hexdigest() for t in (out, points.grad, table.grad)))
+"""
+
+
+def test_kernels_compiled_just_now_and_found_on_disk_give_the_same_bits(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    compiled, found = (
+        subprocess.run([sys.executable, "-c", HASHED], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    )
+    assert list(tmp_path.rglob("*.nbc")), "the second process found kernels"
+    assert compiled.stdout == found.stdout

@@ -68,7 +68,7 @@ __all__ = [
 LANES = 16
 _F32, _I32, _I1 = ir.FloatType(), ir.IntType(32), ir.IntType(1)
 _VF, _VI, _VM = ir.VectorType(_F32, LANES), ir.VectorType(_I32, LANES), ir.VectorType(_I1, LANES)
-_FLAGS = ("contract", "reassoc", "nsz", "arcp")  # not nnan/ninf: lanes that a mask throws away may overflow
+_FLAGS = ("contract", "nsz", "arcp")  # not nnan/ninf: lanes that a mask throws away may overflow
 _OPTIONS: dict[str, Any] = {
     "fastmath": set(_FLAGS),
     "cache": True,
@@ -79,7 +79,11 @@ _OPTIONS: dict[str, Any] = {
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function for one thread, cached on disk; may contract and reassociate, keeps NaN and infinity."""
+    """Compile a function for one thread, cached on disk; may contract, keeps NaN and infinity.
+
+    It may not reassociate: what a process compiles is optimised once and what the next one finds on disk twice, and
+    sums would be taken in different orders.
+    """
     return numba.njit(**_OPTIONS)(inspect.unwrap(function))  # without the shape checks of a test run
 
 
@@ -370,8 +374,7 @@ _EXP2 = (
 def exp2(typingctx: Any, vector: Any) -> Any:
     """Return 2^x of each lane in [-126, 127], relative error below 2e-7; other lanes are garbage, for a mask to drop.
 
-    x = n + f with n the nearest integer: a polynomial for 2^f, and n is added to its exponent bits. (The usual rounding
-    by adding 1.5 * 2^23 would be lost: numba allows reassociation in the whole function.)
+    x = n + f with n the nearest integer: a polynomial for 2^f, and n is added to its exponent bits.
     """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:

@@ -26,7 +26,7 @@ BLOCK = 8
 """Rows of a tile that `multiply_add` computes at once."""
 _F32, _I32, _I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
 _VF, _VI = ir.VectorType(_F32, LANES), ir.VectorType(_I32, LANES)
-_FLAGS = ("contract", "reassoc", "nsz", "arcp")
+_FLAGS = ("contract", "nsz", "arcp")
 
 
 def _data(context: Any, builder: Any, array_type: Any, array: Any, at: Any) -> Any:
@@ -155,7 +155,7 @@ def _call(builder: Any, name: str, *vectors: Any) -> Any:
 def _wave(half: float) -> Any:
     """Build sin(x + half * pi), half 0 or 1/2: x = (n - half) pi + r with |r| <= pi / 2, so it is (-1)^n sin r.
 
-    The subtraction is two fused multiply-adds, which numba's licence to reassociate leaves alone.
+    The subtraction is two fused multiply-adds.
     """
 
     def wave(typingctx: Any, vector: Any) -> Any:
