@@ -1,4 +1,4 @@
-"""Freed memory goes back to the system, also from between what is kept."""
+"""Freed memory goes back to the system when it is to, also from between what is kept, and where told so not before."""
 
 import subprocess
 import sys
@@ -27,3 +27,31 @@ def test_holes_between_what_is_kept_are_given_back() -> None:
     returned_mib, kept = map(float, done.stdout.split())
     assert returned_mib > 50
     assert kept == 12_500 * 1000
+
+
+BLOCKS = """
+import resource, sys
+import numpy as np
+from xrdslam.engine.heap import keep
+if "keep" in sys.argv:
+    keep()
+for i in range(102):
+    blocks = [np.empty(250_000) for _ in range(4)]  # 2 MB each: some 488 pages
+    for block in blocks:
+        block[::512] = 1.0
+    if i == 1:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    del blocks, block
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(_malloc_trim() is None, reason="the C library is not glibc")
+def test_what_is_freed_and_taken_again_stays_with_the_process_where_it_is_kept() -> None:
+    """Each of a hundred rounds takes the memory of the one before, or asks the system for it anew."""
+    told, untold = (
+        int(subprocess.run([sys.executable, "-c", BLOCKS, *words], capture_output=True, check=True).stdout)
+        for words in (["keep"], [])
+    )
+    assert told < 488
+    assert untold > 100 * 488

@@ -101,8 +101,9 @@ class FrameRing:
         slot = int(np.argmin(self._holds.any(1)))
         self._turns[slot] += 1  # who still looks at the slot's last frame sees that it is gone
         self._holds[slot, list(holders)] = 1
-        for name, where in places.items():
-            self._images.tensor(where, slot * self._slot_size).copy_(tensors[name])
+        for name, where in places.items():  # by numpy: torch would start threads for this one, which reads ahead, and
+            # OpenMP that has more threads than cores no longer lets them spin: the tracker's own kernels are slower
+            self._images.tensor(where, slot * self._slot_size).numpy()[...] = tensors[name].numpy()
         given = frame.T_world_camera_gt
         return PlacedFrame(
             frame.index,

@@ -11,6 +11,7 @@ from xrdslam.core.config import RunConfig
 from xrdslam.core.dataset import Dataset
 from xrdslam.core.registry import Registry
 from xrdslam.engine.build import algorithm_of
+from xrdslam.engine.heap import keep
 from xrdslam.engine.multiprocess.channels import Channels
 from xrdslam.engine.multiprocess.child import Say
 from xrdslam.engine.seeding import prepare
@@ -58,6 +59,7 @@ Work = Callable[[Job, Channels], None]
 
 def work(packed: bytes, task: Work, channels: Channels, _say: Say) -> None:
     """Be a worker: what its process calls."""
+    keep()
     told: Job = pickle.loads(packed)
     prepare(told.config.seed, told.threads)
     channels.event_begin.wait()
