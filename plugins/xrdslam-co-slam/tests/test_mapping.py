@@ -173,6 +173,6 @@ def test_colour_alone_counts_for_more_while_the_map_settles() -> None:
         model.generator.manual_seed(0)
         found.append(mapping.losses(MappingProblem(model, [frame], False, 0, is_final=True), 0))
     plain, settling = found
-    assert settling.keys() == plain.keys()
+    assert settling.keys() == plain.keys() == {"rgb", "depth", "sdf", "free_space"}, "nothing is smoothed any more"
     torch.testing.assert_close(settling["rgb"], 4 * plain["rgb"])
     assert all(torch.equal(settling[name], plain[name]) for name in plain.keys() - {"rgb"})

@@ -100,10 +100,12 @@ class CoSlamMapping(GradientMapping):
         return RayBatch(*(torch.cat(pair) for pair in parts))
 
     def losses(self, problem: MappingProblem, iteration: int) -> dict[str, Tensor]:
-        """Return the map's losses; colour counts for more when the map settles."""
+        """Return the map's losses; when the map settles, colour counts for more and nothing is smoothed any more."""
         found = super().losses(problem, iteration)
-        if problem.is_final and "rgb" in found:
-            found["rgb"] = self.config.final_rgb_factor * found["rgb"]
+        if problem.is_final:
+            found.pop("smoothness", None)
+            if "rgb" in found:
+                found["rgb"] = self.config.final_rgb_factor * found["rgb"]
         return found
 
     def _any_rays(self, problem: MappingProblem) -> Batch:
