@@ -95,20 +95,27 @@ def test_one_frame_of_a_room_is_mapped(room: NiceSlamMap) -> None:
 
 @pytest.mark.parametrize("is_corrupted", [False, True])
 def test_a_displaced_camera_finds_back_even_among_outliers(room: NiceSlamMap, is_corrupted: bool) -> None:
-    frame = _frame()
+    """From 2 cm and 1 degree in three directions; 30 iterations would stop at up to 2 cm."""
+    offsets_m, angles_deg = zip(*(_found_from(seed, room, is_corrupted) for seed in range(3)), strict=True)
+    assert max(offsets_m) < 0.01, offsets_m
+    assert max(angles_deg) < 0.5, angles_deg
+
+
+def _found_from(seed: int, room: NiceSlamMap, is_corrupted: bool) -> tuple[float, float]:
+    """How far (m, degrees) from the truth a camera is after tracking that began 2 cm and 1 degree off."""
+    frame, g = _frame(), torch.Generator().manual_seed(seed)
     truth = frame.T_world_camera_gt
     if is_corrupted:
-        wrong = torch.rand(frame.depth.shape, generator=torch.Generator().manual_seed(0)) < 0.1
+        wrong = torch.rand(frame.depth.shape, generator=torch.Generator().manual_seed(seed)) < 0.1
         frame.depth[wrong] += 1.0
+    turn, shift = torch.nn.functional.normalize(torch.randn(2, 3, generator=g))
     offset = torch.eye(4)
-    offset[:3, :3] = so3.exp(torch.deg2rad(torch.tensor([0.6, -0.6, 0.5])))
-    offset[:3, 3] = torch.tensor([0.012, -0.012, 0.01])
+    offset[:3, :3] = so3.exp(torch.deg2rad(turn))
+    offset[:3, 3] = 0.02 * shift
     frame.pose.set_(truth @ offset)
-    tracking = NiceSlamTracking(NiceSlamTrackingConfig(iterations=30, first_iterations=30, border_px=5))
-    found = tracking.track(frame, room, Trajectory()).T_world_camera
-    moved = torch.linalg.inv(truth) @ found
-    assert float(moved[:3, 3].norm()) < 0.01, "m"
-    assert float(so3.log(moved[:3, :3]).norm().rad2deg()) < 0.5
+    tracking = NiceSlamTracking(NiceSlamTrackingConfig(iterations=80, first_iterations=80, border_px=5))
+    moved = torch.linalg.inv(truth) @ tracking.track(frame, room, Trajectory()).T_world_camera
+    return float(moved[:3, 3].norm()), float(so3.log(moved[:3, :3]).norm().rad2deg())
 
 
 def test_the_mask_of_outliers_holds_every_corrupted_ray() -> None:
