@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-__all__ = ["Soak", "read_timing"]
+__all__ = ["Soak", "read_timing", "rolling_median"]
 
 SETTINGS = (
     "algo=splatam", "preset=fast", "dataset=synthetic/room0", "dataset.num_frames=2000", "dataset.width=120",

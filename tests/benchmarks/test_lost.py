@@ -1,27 +1,11 @@
 """What benchmarks.lost reads off a run: errors before and behind a gap, in the world of the first true pose."""
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-
-def _lost_module() -> ModuleType:
-    """Load the module by its path: `benchmarks` is not installed."""
-    path = Path(__file__).parents[2] / "benchmarks" / "lost.py"
-    spec = importlib.util.spec_from_file_location("benchmarks_lost", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-LOST = _lost_module()
+from benchmarks.lost import outcome
 
 
 def write_run(folder: Path, off_m: list[float], lost_frames: list[int]) -> Path:
@@ -39,7 +23,7 @@ def write_run(folder: Path, off_m: list[float], lost_frames: list[int]) -> Path:
 
 def test_frames_before_in_and_behind_a_gap_are_told_apart(tmp_path: Path) -> None:
     off_m = [0.01] * 10 + [5.0] * 5 + [0.02] * 4 + [0.04] * 10
-    found = LOST.outcome(write_run(tmp_path, off_m, []), 10, 15)
+    found = outcome(write_run(tmp_path, off_m, []), 10, 15)
     assert found.before_cm == pytest.approx(1.0)
     assert found.after_cm == pytest.approx(((4 * 4 + 10 * 16) / 14) ** 0.5)
     assert found.last_cm == pytest.approx(4.0)
@@ -48,7 +32,7 @@ def test_frames_before_in_and_behind_a_gap_are_told_apart(tmp_path: Path) -> Non
 
 def test_an_offset_of_the_whole_is_an_error(tmp_path: Path) -> None:
     """Aligned, it would vanish: a camera that is found in another world would seem to be right."""
-    found = LOST.outcome(write_run(tmp_path, [0.0] * 5 + [0.3] * 5, [5, 6]), 5, 5)
+    found = outcome(write_run(tmp_path, [0.0] * 5 + [0.3] * 5, [5, 6]), 5, 5)
     assert found.before_cm == 0
     assert found.after_cm == pytest.approx(30.0)
     assert found.row().split(" | ")[3:6] == ["2", "5", "1"]

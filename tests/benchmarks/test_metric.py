@@ -1,28 +1,12 @@
 """The gate: what counts as a regression."""
 
-import importlib.util
 import math
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-
-def _metric_module() -> ModuleType:
-    """Load the module by its path: `benchmarks` is not installed."""
-    path = Path(__file__).parents[2] / "benchmarks" / "metric.py"
-    spec = importlib.util.spec_from_file_location("benchmarks_metric", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-metric = _metric_module()
-Metric = metric.Metric
+from benchmarks import metric
+from benchmarks.metric import Metric
 
 
 @pytest.mark.parametrize(

@@ -1,38 +1,20 @@
 """A soak's arithmetic: what creeps is told from what grows with the map and the keyframes."""
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
 
+from benchmarks.soak import Soak, read_timing, rolling_median
 from xrdslam.testing.toy_run import write_toy_run
-
-
-def _soak_module() -> ModuleType:
-    """Load the module by its path: `benchmarks` is not installed."""
-    path = Path(__file__).parents[2] / "benchmarks" / "soak.py"
-    spec = importlib.util.spec_from_file_location("benchmarks_soak", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-SOAK = _soak_module()
 
 FRAMES = np.arange(1000.0)
 MAP = 5000 * (1 - np.exp(-FRAMES / 200))
 KEYFRAMES = FRAMES // 5 + 1
 
 
-def soak(rss_mib: np.ndarray) -> Any:
-    return SOAK.Soak(FRAMES, rss_mib, MAP, KEYFRAMES, 10 + 0.001 * MAP, np.full(1000, 7.0), 0.2)
+def soak(rss_mib: np.ndarray) -> Soak:
+    return Soak(FRAMES, rss_mib, MAP, KEYFRAMES, 10 + 0.001 * MAP, np.full(1000, 7.0), 0.2)
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.02])
@@ -51,11 +33,11 @@ def test_a_slope_is_over_a_thousand_frames() -> None:
 def test_one_slow_frame_moves_no_median() -> None:
     values = np.full(100, 5.0)
     values[40] = 1e6
-    assert np.array_equal(SOAK.rolling_median(values), np.full(100, 5.0))
+    assert np.array_equal(rolling_median(values), np.full(100, 5.0))
 
 
 def test_a_run_is_read_and_drawn(tmp_path: Path) -> None:
-    found = SOAK.read_timing(write_toy_run(tmp_path / "run") / "timing.csv", 96 * 72)
+    found = read_timing(write_toy_run(tmp_path / "run") / "timing.csv", 96 * 72)
     assert found.keyframes.tolist() == [1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3]
     assert found.map_size[-1] == 1110
     found.draw(tmp_path / "soak.png", "toy")
@@ -64,5 +46,5 @@ def test_a_run_is_read_and_drawn(tmp_path: Path) -> None:
 
 def test_a_map_of_fixed_size_explains_nothing() -> None:
     fixed = np.full(len(FRAMES), 5000.0)
-    soak = SOAK.Soak(FRAMES, FRAMES, fixed, FRAMES // 5, FRAMES, FRAMES, 0.1)
+    soak = Soak(FRAMES, FRAMES, fixed, FRAMES // 5, FRAMES, FRAMES, 0.1)
     assert soak.creep(500 + 0.02 * FRAMES) == pytest.approx((0.0, 20.0))

@@ -11,6 +11,7 @@ import pytest
 
 from xrdslam.core.errors import RunError
 from xrdslam.engine import resume
+from xrdslam.engine.checkpoints import newest_checkpoint
 from xrdslam.testing.killing import LIMIT_S, PHASES, Victim, kill, saved_in
 from xrdslam.testing.toy_plugin import toy_registry
 from xrdslam.testing.victim import NUM_FRAMES
@@ -40,7 +41,7 @@ def test_processes_end_with_their_parent_and_resuming_goes_on_or_says_why_not(tm
     assert outcome.is_struck
     assert outcome.exit_status == -signal.SIGKILL
     assert outcome.faults() == []
-    if (tmp_path / "run" / "checkpoint").is_dir():
+    if newest_checkpoint(tmp_path / "run") is not None:
         assert resume(tmp_path / "run", registry=toy_registry()).exit_status == 0
     else:
         with pytest.raises(RunError, match="left no checkpoint; begin a new one"):

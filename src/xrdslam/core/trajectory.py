@@ -12,14 +12,14 @@ from xrdslam.core.geometry import se3
 __all__ = ["Trajectory"]
 
 
-@dataclass
+@dataclass(slots=True)
 class _Entry:
+    row: int
+    """Of its two poses in the tables."""
     timestamp_ns: int
-    online: Tensor
     anchor: int
-    T_anchor_frame: Tensor
     is_lost: bool
-    is_recognised: bool = False
+    is_recognised: bool
 
 
 class Trajectory:
@@ -32,6 +32,8 @@ class Trajectory:
 
     def __init__(self) -> None:
         self._entries: dict[int, _Entry] = {}
+        self._online = _stack([])
+        self._T_anchor_frame = _stack([])  # tables with rows to spare: small tensors, one a frame, would lie scattered
         self._anchor: int | None = None
 
     def __len__(self) -> int:
@@ -85,10 +87,10 @@ class Trajectory:
         if index in self._entries:
             raise ValueError(f"frame {index} is in the trajectory already")
         pose = _exact(T_world_camera)
-        anchor = index if self._anchor is None else self._anchor
-        nowhere = torch.eye(4, dtype=torch.float64)
-        self._entries[index] = _Entry(timestamp_ns, pose, index, nowhere, is_lost, is_recognised)
-        self._hang(index, anchor, pose)
+        row = self._reserve(len(self._entries) + 1)
+        self._online[row] = pose
+        self._entries[index] = _Entry(row, timestamp_ns, index, is_lost, is_recognised)
+        self._hang(index, index if self._anchor is None else self._anchor, pose)
 
     def make_keyframe(self, index: int) -> None:
         """Let a frame stand on its own, and later ones hang on it."""
@@ -111,7 +113,7 @@ class Trajectory:
 
     def online(self) -> Float64[Tensor, "n 4 4"]:
         """Return the poses as they were first reported."""
-        return _stack([entry.online for entry in self._entries.values()])
+        return self._online[: len(self._entries)].clone()
 
     def current(self) -> Float64[Tensor, "n 4 4"]:
         """Return the poses as they are believed now; after the last frame, the final trajectory."""
@@ -128,8 +130,8 @@ class Trajectory:
         for link in reversed(chain):
             entry = self._entries[link]
             if link not in known:
-                is_root = entry.anchor == link
-                known[link] = entry.T_anchor_frame if is_root else known[entry.anchor] @ entry.T_anchor_frame
+                relative = self._T_anchor_frame[entry.row]
+                known[link] = relative if entry.anchor == link else known[entry.anchor] @ relative
         return known[index]
 
     def _chain(self, index: int) -> Iterator[int]:
@@ -141,20 +143,30 @@ class Trajectory:
     def _hang(self, index: int, anchor: int, T_world_camera: Tensor) -> None:
         if anchor != index and index in self._chain(anchor):
             raise ValueError(f"frame {index} cannot hang on frame {anchor}, which hangs on it")
+        relative = T_world_camera if anchor == index else _relative(self.pose(anchor), T_world_camera)
         entry = self._entries[index]
-        entry.T_anchor_frame = T_world_camera if anchor == index else _relative(self.pose(anchor), T_world_camera)
+        self._T_anchor_frame[entry.row] = relative
         entry.anchor = anchor
+
+    def _reserve(self, num_rows: int) -> int:
+        """Make room for so many frames; return the row of the last."""
+        if num_rows > len(self._online):
+            room = torch.zeros(max(num_rows, 2 * len(self._online)) - len(self._online), 4, 4, dtype=torch.float64)
+            self._online = torch.cat([self._online, room])
+            self._T_anchor_frame = torch.cat([self._T_anchor_frame, room])
+        return num_rows - 1
 
     def state_dict(self, indices: Collection[int] | None = None) -> dict[str, Tensor]:
         """Return everything as tensors, for checkpoints, or what is known of some frames, for another process."""
         chosen = self.indices if indices is None else list(indices)
         entries = [self._entries[index] for index in chosen]
+        rows = torch.tensor([e.row for e in entries], dtype=torch.int64)
         return {
             "indices": torch.tensor(chosen, dtype=torch.int64),
             "timestamps_ns": torch.tensor([e.timestamp_ns for e in entries], dtype=torch.int64),
-            "online": _stack([e.online for e in entries]),
+            "online": self._online[rows],
             "anchors": torch.tensor([e.anchor for e in entries], dtype=torch.int64),
-            "T_anchor_frame": _stack([e.T_anchor_frame for e in entries]),
+            "T_anchor_frame": self._T_anchor_frame[rows],
             "is_lost": torch.tensor([e.is_lost for e in entries], dtype=torch.bool),
             "is_recognised": torch.tensor([e.is_recognised for e in entries], dtype=torch.bool),
             "anchor": torch.tensor(-1 if self._anchor is None else self._anchor),
@@ -170,9 +182,13 @@ class Trajectory:
 
         Without `anchor` in it, what later frames hang on stays too.
         """
-        keys = ("indices", "timestamps_ns", "online", "anchors", "T_anchor_frame", "is_lost", "is_recognised")
-        for index, stamp, online, anchor, relative, *flags in zip(*(state[k] for k in keys), strict=True):
-            self._entries[int(index)] = _Entry(int(stamp), online, int(anchor), relative, *map(bool, flags))
+        columns = (state[key].tolist() for key in ("indices", "timestamps_ns", "anchors", "is_lost", "is_recognised"))
+        rows = []
+        for index, *known in zip(*columns, strict=True):
+            row = self._entries[index].row if index in self._entries else self._reserve(len(self._entries) + 1)
+            self._entries[index] = _Entry(row, *known)
+            rows.append(row)
+        self._online[rows], self._T_anchor_frame[rows] = state["online"], state["T_anchor_frame"]
         if "anchor" in state:
             self._anchor = None if int(state["anchor"]) < 0 else int(state["anchor"])
 
