@@ -43,7 +43,21 @@ def test_the_bank_holds_a_twentieth_of_each_keyframes_pixels() -> None:
     pixels = data.camera.width * data.camera.height
     assert len(bank.rays) == 2 * int(0.05 * pixels)
     assert bank.indices == [0, 1]
-    assert len(torch.unique(bank.rays[bank.slots == 0], dim=0)) == int(0.05 * pixels), "drawn without replacement"
+    first = bank.rays[: int(0.05 * pixels)]
+    assert len(torch.unique(first, dim=0)) == len(first), "drawn without replacement"
+
+
+def test_drawn_rays_are_of_their_slots_however_the_bank_grew() -> None:
+    bank = RayBank()
+    for k, frame in enumerate(toy_sequence(num_frames=5)):
+        if k == 3:
+            grown, bank = bank, RayBank()
+            bank.load_state_dict(grown.state_dict())
+        frame.rgb.fill_(k / 10)
+        bank.add(frame, 0.05, torch.Generator().manual_seed(k))
+    batch = bank.draw(200, torch.eye(3).expand(5, 3, 3), torch.zeros(5, 3), torch.Generator().manual_seed(0))
+    assert set(batch.frame_slot.tolist()) == set(range(5))
+    torch.testing.assert_close(batch.rgb[:, 0], batch.frame_slot / 10)
 
 
 def test_banked_rays_end_where_their_pixels_were_measured() -> None:

@@ -16,17 +16,26 @@ class RayBank:
     def __init__(self) -> None:
         self.indices: list[int] = []
         """Frame indices of the keyframes, in the order of their slots."""
-        self.rays = torch.empty(0, 7)
-        self.slots = torch.empty(0, dtype=torch.int64)
+        self._table = torch.empty(0, 7)
+        self._num_rays = 0
+
+    @property
+    def rays(self) -> Float[Tensor, "n 7"]:
+        """All of them, as many of each keyframe, keyframe after keyframe."""
+        return self._table[: self._num_rays]
 
     def add(self, frame: Frame, share: float, generator: torch.Generator) -> None:
         """Draw from a keyframe, without replacement, over the whole image."""
         pixels = frame.camera.width * frame.camera.height
         count = max(1, int(share * pixels))
         rows = rays_of(frame, torch.randperm(pixels, generator=generator)[:count].to(frame.device))
-        slot = torch.full((count,), len(self.indices), device=frame.device)
-        self.rays = torch.cat((self.rays.to(rows), rows))
-        self.slots = torch.cat((self.slots.to(slot), slot))
+        end = self._num_rays + count
+        if end > len(self._table):
+            table = rows.new_empty(max(end, 2 * len(self._table)), 7)
+            table[: self._num_rays] = self.rays
+            self._table = table
+        self._table[self._num_rays : end] = rows
+        self._num_rays = end
         self.indices.append(frame.index)
 
     def draw(
@@ -38,17 +47,18 @@ class RayBank:
     ) -> RayBatch:
         """Draw rays uniformly from all keyframes, in the world by the poses of their slots."""
         drawn = torch.randint(len(self.rays), (count,), generator=generator).to(self.rays.device)
-        return in_world(self.rays[drawn], self.slots[drawn], rotations, centers)
+        each = self._num_rays // len(self.indices)
+        return in_world(self.rays[drawn], drawn // each, rotations, centers)
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return everything, for a resumed run."""
         indices = torch.tensor(self.indices, dtype=torch.int64)
-        return {"indices": indices, "rays": self.rays.clone(), "slots": self.slots.clone()}
+        return {"indices": indices, "rays": self.rays.clone()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Take over what `state_dict` returned."""
         self.indices = state["indices"].tolist()
-        self.rays, self.slots = state["rays"].clone(), state["slots"].clone()
+        self._table, self._num_rays = state["rays"].clone(), len(state["rays"])
 
 
 def rays_of(frame: Frame, pixels: Int64[Tensor, " n"]) -> Float[Tensor, "n 7"]:
