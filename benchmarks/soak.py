@@ -46,6 +46,7 @@ class Soak:
     tracking_ms: Column
     """Of the processor, all threads together: what else the machine does is not in it."""
     mapping_ms: Column
+    """NaN of frames that are not mapped."""
     keyframe_mib: float
     """Colour and depth of one of them, float32."""
 
@@ -91,10 +92,10 @@ class Soak:
         return lines
 
     def _late(self, values: Column, unit: str = "MiB") -> str:
-        first, last = np.median(values[WARM_UP : WARM_UP + 100]), np.median(values[-100:])
+        first, last = np.nanmedian(values[WARM_UP : WARM_UP + 100]), np.nanmedian(values[-100:])
         return (
             f"{first:.0f} {unit} at frame {WARM_UP}, {last:.0f} {unit} at the end, "
-            f"{self.slope(values):+.2f} {unit} per 1000 frames"
+            f"{self.slope(rolling_median(values)):+.2f} {unit} per 1000 frames"
         )
 
     def draw(self, path: Path, title: str) -> None:
@@ -121,9 +122,9 @@ class Soak:
 
 
 def rolling_median(values: Column, window: int = WINDOW) -> Column:
-    """Return the median of each value and its neighbours; fewer of them at the ends."""
+    """Return the median of each value and its neighbours, those that are numbers; fewer of them at the ends."""
     half = window // 2
-    return np.array([np.median(values[max(0, i - half) : i + half + 1]) for i in range(len(values))])
+    return np.array([np.nanmedian(values[max(0, i - half) : i + half + 1]) for i in range(len(values))])
 
 
 def read_timing(path: Path, num_pixels: int) -> Soak:
@@ -136,6 +137,7 @@ def read_timing(path: Path, num_pixels: int) -> Soak:
 
     counted = ("index", "rss_mib", "map_size", "is_keyframe", "tracking_cpu_ms", "mapping_cpu_ms")
     frame, rss_mib, map_size, is_keyframe, tracking_ms, mapping_ms = map(column, counted)
+    mapping_ms[column("mapping_iterations") == 0] = np.nan
     return Soak(frame, rss_mib, map_size, is_keyframe.cumsum(), tracking_ms, mapping_ms, 16 * num_pixels / 2**20)
 
 

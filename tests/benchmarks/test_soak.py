@@ -36,6 +36,11 @@ def test_one_slow_frame_moves_no_median() -> None:
     assert np.array_equal(rolling_median(values), np.full(100, 5.0))
 
 
+def test_frames_that_are_not_mapped_tell_nothing_of_mapping() -> None:
+    values = np.where(np.arange(100) % 5 == 0, 7.0, np.nan)
+    assert np.array_equal(rolling_median(values), np.full(100, 7.0))
+
+
 def test_a_run_is_read_and_drawn(tmp_path: Path) -> None:
     found = read_timing(write_toy_run(tmp_path / "run") / "timing.csv", 96 * 72)
     assert found.keyframes.tolist() == [1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3]

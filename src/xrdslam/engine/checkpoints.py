@@ -14,6 +14,7 @@ from xrdslam.core.saved_state import save_state
 from xrdslam.engine.authorship import authorship
 from xrdslam.engine.build import settings_of
 from xrdslam.engine.context import Run
+from xrdslam.engine.heap import give_back
 from xrdslam.engine.random_numbers import streams
 
 __all__ = ["Checkpoints", "header_of", "known_poses", "newest_checkpoint"]
@@ -63,15 +64,19 @@ class Checkpoints:
         path = self.folder / f"after_frame_{last:06d}.safetensors"
         with self.run.profile.paused():
             try:
-                whole = {**(state or self.run.algorithm.state_dict()), "ground_truth": known_poses(self.run)}
-                header = {**header_of(self.run), "config": settings_of(self.run.config)}
-                save_state(path, whole, {**header, **(drawn or {"streams": streams()})})
+                self._write(path, state or self.run.algorithm.state_dict(), drawn or {"streams": streams()})
                 self._remove(all_but=path)
             except OSError as error:
                 log.error("no checkpoint after frame %d: %s; the one before stays", last, error)
                 return
+            finally:
+                give_back()  # copies of the whole map, needed no more until the next one
         self._saved_after = last
         log.debug("checkpoint after frame %d: %s", last, path)
+
+    def _write(self, path: Path, state: Mapping[str, object], drawn: Mapping[str, object]) -> None:
+        header = {**header_of(self.run), "config": settings_of(self.run.config), **drawn}
+        save_state(path, {**state, "ground_truth": known_poses(self.run)}, header)
 
     def remove(self) -> None:
         """Remove every checkpoint: a run that has ended has its map, one that begins anew has nothing to go on from."""
