@@ -173,6 +173,25 @@ def test_state_comes_back_with_the_same_bits_and_goes_on_the_same(count: int) ->
     assert torch.equal(other.timestamps_ns, trajectory.timestamps_ns)
 
 
+def test_what_is_known_of_some_frames_joins_what_is_known_of_others() -> None:
+    """As between processes: frames in any order, known ones anew, unknown ones added, `anchor` left as it was."""
+    trajectory, given = walk(40)
+    other = Trajectory()
+    other.load_state_dict(trajectory.state_dict(range(20)))
+    moved = poses(2, seed=8)
+    trajectory.update_all({9: moved[0], 30: moved[1]})
+    news = trajectory.state_dict([9, *reversed(range(20, 40)), 3])
+    news.pop("anchor")
+    other.merge(news)
+    order = other.indices
+    assert order == [*range(20), *reversed(range(20, 40))]
+    assert torch.equal(other.current(), trajectory.current()[order])
+    assert torch.equal(other.online(), given[order])
+    assert torch.equal(other.state_dict([9])["T_anchor_frame"], trajectory.state_dict([9])["T_anchor_frame"])
+    other.append(40, 400, given[0])
+    assert other.state_dict([40])["anchors"].tolist() == [39], "the last keyframe of the whole"
+
+
 def test_a_long_chain_of_keyframes_adds_no_error() -> None:
     """Poses come in float32, 6e-8 from orthonormal: doubled with each of 100 keyframes that would be 1e23."""
     trajectory = Trajectory()
