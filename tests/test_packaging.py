@@ -166,6 +166,7 @@ def test_what_is_imported_is_declared(name: str) -> None:
     optional = [extra for extras in _project(folder).get("optional-dependencies", {}).values() for extra in extras]
     required = [*_project(folder)["dependencies"], *core["dependencies"], *optional]
     ours = {"omegaconf", "xrdslam", "hydra_plugins", name.replace("-", "_"), *sys.stdlib_module_names}
+    ours |= {"benchmarks"} if folder == ROOT else set()
     for part, extra in (("src", []), ("tests", core["optional-dependencies"]["test"])):
         declared = ours | {_module(requirement) for requirement in (*required, *extra)}
         imported = {path: _imported(path) for path in (folder / part).rglob("*.py")}

@@ -38,6 +38,25 @@ def test_losses_are_means_over_a_metre_of_every_ray() -> None:
     torch.testing.assert_close(losses.sdf, errors.square().sum() / 100 * 5 / 15, rtol=1e-4, atol=0)
 
 
+def test_a_sample_counts_for_those_that_were_left_out() -> None:
+    """A field that is constant before the truncation has the losses of all samples from every fourth."""
+    depth = torch.full((3,), 2.0)
+    depths = (2.0 - 0.21 + 0.01 * torch.arange(25)).expand(3, 25)
+    ahead = depth[:, None] - depths
+    far = ahead > 2 * TRUNCATION_M
+    sdf = torch.where(far, 0.7, (ahead / TRUNCATION_M).clamp(max=1) - 0.1)
+    assert int(far.sum()) == 3 * 12
+    thinned = ~far | (torch.arange(25) % 4 == 1)
+    rays = torch.arange(3).repeat_interleave(25)
+    gray, every = torch.full((3, 3), 0.5), torch.ones(3, dtype=torch.bool)
+    held = gray, depth, gray, depth, every, TRUNCATION_M, 100.0
+    whole = ray_losses(sdf.reshape(-1), depths.reshape(-1), rays, *held)
+    few = (t[thinned.reshape(-1)] for t in (sdf.reshape(-1), depths.reshape(-1), rays))
+    found = ray_losses(*few, *held, torch.where(far, 4.0, 1.0)[thinned])
+    for loss, expected in zip(found, whole, strict=True):
+        torch.testing.assert_close(loss, expected)
+
+
 def test_a_longer_ray_beside_them_leaves_the_others_losses() -> None:
     """Published, padding to the longest ray would divide them."""
     generator = torch.Generator().manual_seed(0)

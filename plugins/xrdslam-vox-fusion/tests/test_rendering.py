@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 import torch
 
 from xrdslam.algorithms.vox_fusion.model import VoxelMap
@@ -66,6 +67,25 @@ def test_jittered_samples_of_a_wall_have_its_depth(ruled: Ruled) -> None:
     assert error.mean().abs() < 1e-3
     assert error.std() < 2.5e-3
     assert float(samples.depths.max()) <= 2.07 + 0.05
+
+
+def test_free_space_is_sampled_sparsely_the_surface_in_full(ruled: Ruled) -> None:
+    """Voxels along rays of 2 m: every cm within 10 cm of the wall, every eighth before, none of them twice as often."""
+    model = ruled(lambda p: torch.ones_like(p[:, 0]), torch.tensor([[0.1, 0.1, 0.2 * k + 0.1] for k in range(12)]))
+    count = 4000
+    directions = torch.tensor([[0.0, 0.0, 1.0]]).expand(count, 3)
+    depth = torch.full((count,), 2.0)
+    slots = torch.zeros(count, dtype=torch.int64)
+    batch = RayBatch(torch.tensor([[0.1, 0.1, 0.0]]).expand(count, 3), directions, directions, depth, slots)
+    kept, model.config.free_space_every = model.sample(batch), 1
+    whole = model.sample(batch)
+    far, all_far = kept.depths < 1.9, whole.depths < 1.9
+    assert float(far.sum() / all_far.sum()) == pytest.approx(1 / 8, rel=0.02)
+    assert float((~far).sum() / (~all_far).sum()) == pytest.approx(1, rel=0.01)
+    per_ray = torch.bincount(kept.rays[far], minlength=count)
+    assert int(per_ray.min()) > 10, "of each ray"
+    assert bool((kept.offsets.diff() == torch.bincount(kept.rays, minlength=count)).all())
+    assert bool((kept.voxels == (kept.depths / 0.2).floor().long()).all()), "each with its own voxel"
 
 
 def test_the_mesh_of_a_sphere_is_closed_and_lies_on_it(ruled: Ruled) -> None:

@@ -1,8 +1,8 @@
 """Matrix products of small networks over many rows, by whichever library is quicker.
 
-On CPUs torch's `addmm` is MKL's, whose float32 runs at a half to a third of oneDNN's speed where the processor is not
-Intel's; oneDNN, which torch carries along as well, also applies a ReLU for nothing. Both round differently in the last
-places, nothing else.
+On CPUs torch's `addmm` is MKL's, whose float32 runs at a half to a third of oneDNN's speed on AMD's processors since
+Zen 5 (before, they are even); oneDNN, which torch carries along as well, also applies a ReLU for nothing. Both round
+differently in the last places, nothing else. The gradient of a weight, left^T right, is MKL's: oneDNN copies left.
 """
 
 import functools
@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["linear", "linear_torch", "outer_sum", "outer_sum_torch"]
+__all__ = ["linear", "linear_torch"]
 
 
 def linear(
@@ -36,21 +36,6 @@ def linear_torch(rows: Tensor, weight: Tensor, bias: Tensor | None = None, relu:
         out = rows @ weight.mT
         out = out if bias is None else out + bias
         return out.relu() if relu else out
-
-
-def outer_sum(left: Float[Tensor, "n o"], right: Float[Tensor, "n i"]) -> Float[Tensor, "o i"]:
-    """Return left^T right, the sum over rows of their outer products: the gradient of a weight. Carries none itself."""
-    fast = _onednn()
-    if fast is None or left.device.type != "cpu" or left.dtype != torch.float32 or not len(left):
-        return outer_sum_torch(left, right)
-    with torch.no_grad():
-        return fast(_dense(left.mT), _dense(right.mT), None, "none", [], "")  # type: ignore[no-any-return]
-
-
-def outer_sum_torch(left: Tensor, right: Tensor) -> Tensor:
-    """Sum the outer products: the twin."""
-    with torch.no_grad():
-        return left.mT @ right
 
 
 def _dense(matrix: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -34,6 +34,11 @@ class RaySamples(NamedTuple):
     def rays(self) -> Int64[Tensor, " m"]:
         """The ray of each sample."""
         return torch.repeat_interleave(self.counts, output_size=len(self.depths))
+
+    def where(self, kept: Bool[Tensor, " m"]) -> "RaySamples":
+        """Return those samples alone, in their order; their lengths stay as they are."""
+        before = torch.cat((self.offsets.new_zeros(1), kept.cumsum(0)))
+        return RaySamples(before[self.offsets], self.depths[kept], self.lengths[kept], self.voxels[kept])
 
 
 def sample_hits(

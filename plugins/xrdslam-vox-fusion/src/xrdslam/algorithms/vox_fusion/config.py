@@ -28,6 +28,9 @@ class VoxFusionMapConfig:
     truncation_m: float = 0.05
     step_m: float = 0.01
     """Distance of a ray's samples within voxels (published as a share of the voxel: 0.05)."""
+    free_space_every: int = 8
+    """Of the samples more than two truncations before the measured depth one in so many is taken, and counts for all of
+    them in the loss of free space. 1 takes each, as published."""
     max_depth_m: float = 10.0
     """Farther measurements count as none; rays without measured depth end here."""
     max_samples: int = 512
@@ -53,7 +56,7 @@ class VoxFusionMapConfig:
     def __post_init__(self) -> None:
         for name in ("voxel_m", "truncation_m", "step_m", "max_depth_m", "padded_m", "outlier_ratio"):
             require(getattr(self, name) > 0, f"algo.map.{name}", getattr(self, name), "be positive")
-        for name in ("features", "rows", "width", "max_samples"):
+        for name in ("features", "rows", "width", "max_samples", "free_space_every"):
             require(getattr(self, name) >= 1, f"algo.map.{name}", getattr(self, name), "be at least 1")
         for name in ("weight_rgb", "weight_depth", "weight_sdf", "weight_free_space", "lr_features", "lr_decoder"):
             require(getattr(self, name) >= 0, f"algo.map.{name}", getattr(self, name), "not be negative")

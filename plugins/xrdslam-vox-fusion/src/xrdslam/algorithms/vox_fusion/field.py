@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from xrdslam.algorithms.vox_fusion.decoder import DecoderWeights, decode_color_torch, decode_geometry_torch
-from xrdslam.ops.dense_layers import linear, outer_sum
+from xrdslam.ops.dense_layers import linear
 from xrdslam.ops.voxel_features import features_backward, features_into, takes, voxel_features_torch
 from xrdslam.ops.voxel_hash import SparseVoxels
 
@@ -176,9 +176,9 @@ class _VoxelField(torch.autograd.Function):
             d_features[rows] = linear(d_first, w.first.to(first.dtype).mT)
             if d is not None:
                 d.head[0].add_(torch.mv(second.mT, d_sdf[rows].to(second.dtype)))
-                d.second.add_(outer_sum(d_second, first))
+                d.second.add_(d_second.mT @ first)
                 d.second_bias.add_(d_second.sum(0, dtype=torch.float32))
-                d.first.add_(outer_sum(d_first, features[rows].to(first.dtype)))
+                d.first.add_(d_first.mT @ features[rows].to(first.dtype))
                 d.first_bias.add_(d_first.sum(0, dtype=torch.float32))
         d_features.index_add_(0, chosen, d_inputs[:, width:])
         if d is not None:
@@ -200,8 +200,8 @@ def _color_backward(
         d_tint = _masked_(linear(d_raw[rows], w.color.mT).to(tint.dtype), tint)
         d_inputs[rows] = linear(d_tint, matrix.mT)
         if d is not None:
-            d.color.add_(outer_sum(d_raw[rows], tint.float()))
-            d_matrix.add_(outer_sum(d_tint, inputs[rows]))
+            d.color.add_(d_raw[rows].mT @ tint.float())
+            d_matrix.add_(d_tint.mT @ inputs[rows])
             d_bias.add_(d_tint.sum(0, dtype=torch.float32))
     if d is not None:
         d.color_bias.copy_(d_raw.sum(0))

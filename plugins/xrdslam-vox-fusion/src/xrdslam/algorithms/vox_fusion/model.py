@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from xrdslam.algorithms.vox_fusion.config import VoxFusionMapConfig
@@ -107,6 +107,7 @@ class VoxelMap(Model):
             counts,
             config.truncation_m,
             config.padded_m / config.step_m,
+            torch.where(self._far_before(batch, samples), float(config.free_space_every), 1.0),
         )
         return {
             "rgb": config.weight_rgb * found.rgb,
@@ -119,13 +120,23 @@ class VoxelMap(Model):
     def sample(self, batch: RayBatch) -> RaySamples:
         """Sample rays within voxels up to a truncation behind the measured depth; those without a depth not at all.
 
-        What lies farther has neither weight nor loss. Published rays are drawn where there is a depth.
+        What lies farther has neither weight nor loss. Published rays are drawn where there is a depth. Far before the
+        surface samples are thinned out, from a random one on: they only say that space is free.
         """
         depth, config = batch.depth, self.config
         has_depth = (depth > 0) & (depth < config.max_depth_m)
         far = torch.where(has_depth, depth + config.truncation_m, 0.0)
         hits = traverse(self.grid, batch.origins_world, batch.directions_world, far)
-        return sample_hits(hits, config.step_m, self.generator, config.max_samples)
+        samples = sample_hits(hits, config.step_m, self.generator, config.max_samples)
+        if config.free_space_every == 1:
+            return samples
+        first = torch.randint(config.free_space_every, (1,), generator=self.generator).to(samples.offsets)
+        place = torch.arange(len(samples.depths), device=samples.offsets.device) + first
+        return samples.where(~self._far_before(batch, samples) | (place % config.free_space_every == 0))
+
+    def _far_before(self, batch: RayBatch, samples: RaySamples) -> Bool[Tensor, " m"]:
+        """Say which samples lie so far before the measured depth that the field is 1 there and has no weight."""
+        return batch.depth[samples.rays] - samples.depths > 2 * self.config.truncation_m
 
     @torch.no_grad()
     def render(self, camera: Camera, T_world_camera: Float[Tensor, "4 4"]) -> Rendering:
